@@ -117,7 +117,7 @@ def shelves(asked: argparse.Namespace) -> None:
             found = Planner(problem, scene.duration).path(Budget(seed=seed), goals=goal)
             wall, spent = time.perf_counter() - begun, time.process_time() - cpu
             rows.setdefault(name, []).append(_measured(found, wall - ready, spent))
-            if found.found and seed < 10:
+            if found.success and seed < 10:
                 np.savez(asked.out / f"{name.replace('->', '_')}_{seed}.npz", q=found.q)
         linked = round(line.number(goal) - line.number(start))
         print(_line(name, rows.get(name, [])), f"linked {linked:+d}", flush=True)
@@ -140,7 +140,7 @@ def _told(space: ClosedSpace) -> None:
 def _measured(found: Plan, wall: float, cpu: float) -> dict[str, float]:
     seen = found.verification
     return {
-        "found": float(found.found), "proven": float(found.proven), "wall": wall,
+        "found": float(found.success), "proven": float(found.proven), "wall": wall,
         "cpu": cpu, "length": found.length,
         "search": found.seconds.get("search", 0.0), "verify": found.seconds.get("verify", 0.0),
         "open": seen.open if seen else np.nan,
@@ -301,20 +301,20 @@ def goals(name: str, asked: argparse.Namespace) -> None:
         begun = time.process_time()
         found = coopqp.reach(scenario, seed=i)
         looks.append(time.process_time() - begun)
-        count["reachable"] += bool(found.found)
-        count["cut off"] += bool(found.found) and all(one.cut_off for one in found.found)
+        count["reachable"] += bool(found.solutions)
+        count["cut off"] += bool(found.solutions) and all(one.cut_off for one in found.solutions)
         count["by surfaces"] += is_cut_off(problem.chain, np.array(scenario.tasks[0].goal))
         begun = time.process_time()
         way = Planner(problem, scenario.duration).plan(Budget(seed=i))
         seconds.append(time.process_time() - begun)
-        count["planned"] += way.found
-        written.append(_goal(scenario, q) | {"planned": way.found, "length": way.length})
-        if not way.found:
+        count["planned"] += way.success
+        written.append(_goal(scenario, q) | {"planned": way.success, "length": way.length})
+        if not way.success:
             print(f"{name} {i}: {way.sentence[:100]}", flush=True)
         if not asked.runs:
             continue
         count["alone"] += _run(scenario)[0]
-        if way.found:
+        if way.success:
             path, *_ = write_plan(way, replace(scenario, source=""), asked.out)
             reached, most = _run(following(scenario, PlanReference(plan=path)))
             beyond = max(beyond, most)
@@ -417,7 +417,7 @@ def blocked(asked: argparse.Namespace) -> None:
         begun = time.process_time()
         kind, way, problem = _way_of(problem, q, seed)
         seconds.append(time.process_time() - begun)
-        if way is None or not way.found:
+        if way is None or not way.success:
             count[kind] += 1
             continue
         along = Way(way.t, way.timed, way.object, np.zeros((0, 0)))
@@ -453,7 +453,7 @@ def _way_of(
         way = Planner(problem, end).plan(Budget(seed=seed))
     except CoopqpError as error:
         return f"no plan: {str(error).partition(':')[0]}", None, problem
-    if not way.found:
+    if not way.success:
         kind = re.sub(r"-?[0-9][0-9.e-]*", "#", way.sentence)
         kind = re.split(r"[:;]", re.sub(r"\bt#\S*", "t", kind))
         return ": ".join(kind[:2])[:100], way, problem

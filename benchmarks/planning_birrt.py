@@ -63,7 +63,7 @@ def main() -> None:
         problem = scene.problem(chain=scene.chain.moved(named[a]))
         found = Planner(problem, scene.duration).path(Budget(seed=seed), goals=named[b])
         spent = time.process_time() - begun
-        rows["coopqp"].append((spent, found.length if found.found else np.nan))
+        rows["coopqp"].append((spent, found.length if found.success else np.nan))
     for name, row in rows.items():
         spent, length = np.array(row).T
         half, p95 = np.percentile(spent, [50, 95])

@@ -26,8 +26,8 @@ from statistics import median
 
 import numpy as np
 
+from coopqp.base.reading import csv_text
 from coopqp.base.spec import Array
-from coopqp.base.table import csv_text
 from coopqp.controller import Controller
 from coopqp.controllers import PassiveGraspPid, TorqueQp
 from coopqp.execution.controller_run import run
@@ -116,7 +116,7 @@ def exceeded(found: TimedPath) -> float:
     share = Share(rows)
     force = max(share.of(i, u[i], x[i])[0] for i in range(len(s)))
     quick = found.maker.kinds == "acceleration"
-    a = np.abs(rows.felt(u, x)[:, quick]) / found.maker.size[quick]
+    a = np.abs(rows.values(u, x)[:, quick]) / found.maker.size[quick]
     return float(max(speed.max(), force, a.max(initial=0.0)))
 
 

@@ -28,7 +28,7 @@ from pydantic import Field
 from coopqp.adapters.motors import ARMS, GRIPPERS, KEYS, MotorUnits
 from coopqp.base.errors import CoopqpError, InvalidValueError, unknown_name
 from coopqp.base.spec import Array, NonNegative, Positive, real, spec
-from coopqp.base.wording import said
+from coopqp.base.wording import message_of
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.kernel import native
@@ -244,7 +244,7 @@ class ChunkFilter:
                 return np.array([*itertools.accumulate(chunk, _told, initial=last)][1:])
             found = real(chunk)
         except ValueError as error:
-            raise InvalidValueError(f"{what}: {said(error)}") from None
+            raise InvalidValueError(f"{what}: {message_of(error)}") from None
         if what == "start" and found.size == len(KEYS):
             found = np.asarray(found.reshape(1, -1))
         if found.ndim != 2 or found.shape[1] != len(KEYS):

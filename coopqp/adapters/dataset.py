@@ -15,7 +15,7 @@ from coopqp.adapters.chunk_filter import Change, ChunkFilter
 from coopqp.adapters.motors import ARMS, KEYS, MotorUnits
 from coopqp.base.errors import InvalidValueError, UnreadableFileError, needs
 from coopqp.base.spec import Array
-from coopqp.base.wording import counted, said
+from coopqp.base.wording import counted, message_of
 from coopqp.scenario.scenario import Scenario
 
 #: Changes of an episode that its text shows.
@@ -82,7 +82,7 @@ def _described(folder: Path, column: str) -> tuple[float, list[int], int]:
         if not 0.0 < fps < np.inf:
             raise ValueError(f"fps is {fps:g}")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        kind = f"{type(error).__name__} ({said(error)})"
+        kind = f"{type(error).__name__} ({message_of(error)})"
         why = "there is no such file" if isinstance(error, OSError) else kind
         raise UnreadableFileError(file, f"is no dataset v3.0 with {column}: {why}") from None
     if missing := [key for key in KEYS if key not in names]:
@@ -100,7 +100,7 @@ def _episodes(folder: Path, column: str, count: int) -> Iterator[tuple[int, list
         try:
             rows = parquet.read_table(file, columns=wanted).to_pydict()
         except (OSError, ValueError, KeyError) as error:
-            words = f"needs columns {', '.join(wanted)}: {said(error)}"
+            words = f"needs columns {', '.join(wanted)}: {message_of(error)}"
             raise UnreadableFileError(file, words) from None
         for k, (episode, frame, row) in enumerate(zip(*(rows[key] for key in wanted), strict=True)):
             if not (isinstance(episode, int) and isinstance(frame, int)):

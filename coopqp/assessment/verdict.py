@@ -192,14 +192,14 @@ def _beyond(violation: LimitViolation) -> str:
     """A limit other than a joint's, and how far it was broken."""
     row, far = violation.row, _amount(violation.by, violation.row.unit)
     if row.unit not in ("m", "rad"):
-        return f"exceeds the {row.words} by {far}"
+        return f"exceeds the {row.label} by {far}"
     if row.bodies:
         return _too_near(violation)
     if not violation.farther:
         out = matters(violation.at_end, row.unit)
-        return f"starts {far} beyond {row.words} and {'ends outside' if out else 'comes back'}"
+        return f"starts {far} beyond {row.label} and {'ends outside' if out else 'comes back'}"
     start = f" ({_amount(violation.at_start, row.unit)} at the start)" if violation.at_start else ""
-    return f"goes {far} beyond {row.words}{start}"
+    return f"goes {far} beyond {row.label}{start}"
 
 
 def _too_near(violation: LimitViolation) -> str:

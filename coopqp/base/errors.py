@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from typing_extensions import Self
 
 LONGEST = 60  # characters of what was found
-MOST_NAMES = 100  # that are listed where none is near
+MAX_NAMES = 100  # that are listed where none is near
 
 
 class CoopqpError(Exception):
@@ -86,8 +86,8 @@ class GraspError(CoopqpError):
 class MissingDependencyError(CoopqpError, ImportError):
     """An optional package is not installed."""
 
-    def __init__(self, what: str, extra: str = "", *, words: str = "") -> None:
-        super().__init__(f"{what} needs: " + (words or f"pip install 'coopqp[{extra}]'"))
+    def __init__(self, what: str, extra: str = "", *, instructions: str = "") -> None:
+        super().__init__(f"{what} needs: " + (instructions or f"pip install 'coopqp[{extra}]'"))
 
 
 @contextmanager
@@ -147,6 +147,6 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(shown, names, n=3, cutoff=0.5)
     if near:
         return f"unknown {kind} '{shown}'; did you mean {' or '.join(repr(n) for n in near)}?"
-    listed = ", ".join(names[:MOST_NAMES]) if names else "none"
-    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    listed = ", ".join(names[:MAX_NAMES]) if names else "none"
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     return f"unknown {kind} '{shown}'; known: {listed}{more}"

@@ -31,20 +31,19 @@ class Row:
     unit: str = ""  #: Of what it bounds or asks for, such as "rad" or "m/s".
     joint: str = ""  #: Whose, where it belongs to one joint.
     side: Side | None = None  #: Which, where there are two.
-    label: str = ""  #: What a sentence calls it, such as "RElbowRoll (upper)"; or the name.
+    label: str = ""  #: What a sentence calls it, such as "RElbowRoll (upper)"; the name if omitted.
     #: Whether it bounds a place: its violation in a QP of velocities, times dt, has the unit given.
     of_place: bool = False
     bodies: tuple[str, ...] = ()  #: The two whose distance it is; none for other rows.
     #: Distance that is kept free between them [m]; rows that differ in it alone are equal.
     kept: float = field(default=0.0, compare=False)
 
+    def __post_init__(self) -> None:
+        if not self.label:
+            object.__setattr__(self, "label", self.name)
+
     def __str__(self) -> str:
         return self.name
-
-    @property
-    def words(self) -> str:
-        """What a sentence calls it."""
-        return self.label or self.name
 
 
 def names_of(rows: Sequence[Row]) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from coopqp.base.spec import Array
 #: Singular values below this share of the largest count as zero.
 RANK_TOLERANCE = 1e-8
 
-_LEAST = 1e-300  # a matrix of zeros has rank zero, whatever the share
+_TINY = 1e-300  # a matrix of zeros has rank zero, whatever the share
 
 
 def matrix_rank(matrix: Array, tolerance: float = RANK_TOLERANCE) -> int:
@@ -53,19 +53,19 @@ def directions(rows: Array) -> tuple[Array, Array]:
     return values, Vt
 
 
-def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
+def independent_rows(matrix: Array, max_rows: int | None = None) -> list[int]:
     """Indices of a largest set of independent rows, in their own order, by pivoted QR."""
     if not matrix.size:
         return []
     _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
     rank = _rank(np.diag(R))
-    return sorted(int(i) for i in order[: rank if most is None else min(rank, most)])
+    return sorted(int(i) for i in order[: rank if max_rows is None else min(rank, max_rows)])
 
 
 def _rank(diagonal: Array) -> int:
     """Of a pivoted QR, whose diagonal falls in size."""
     sizes = np.abs(diagonal)
-    return int(np.count_nonzero(sizes > RANK_TOLERANCE * max(sizes[0], _LEAST)))
+    return int(np.count_nonzero(sizes > RANK_TOLERANCE * max(sizes[0], _TINY)))
 
 
 def least_squares(matrix: Array, wanted: Array) -> Array:

@@ -33,6 +33,9 @@ T = TypeVar("T")
 Array = NDArray[np.float64]
 """An array of numbers, as all signatures have it."""
 
+UNLIMITED = math.pi
+"""How far a joint without limits is looked for to either side [rad, m]."""
+
 FARTHEST = 1e4
 """No robot is farther from anything than this [m], and no joint has turned more [rad]; rounding
 would be all that is left of a motion."""

@@ -5,7 +5,7 @@ import re
 import traceback
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
@@ -21,7 +21,7 @@ Location = Sequence[str | int]
 """Keys and indices from the outermost mapping to a value."""
 
 #: Pydantic's words and their replacements, applied one after the other.
-WORDS = {
+REPLACEMENTS = {
     r"^Input should (be )?": "needs ",
     r"^needs a valid (array|list|tuple)": "needs a list",
     r"^needs (an object|a valid dictionary)": "needs a mapping, such as {key: value}",
@@ -36,8 +36,8 @@ WORDS = {
     r"^String should have (at (?:least|most) \d+) characters?": r"needs \1 character(s)",
 }  # fmt: skip
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # what pydantic calls such keys
-MOST_SAID = 300  # characters of what an error says of itself
-USERS = "coopqp.scenario.user_folders."  # how names of modules begin that lie in users' folders
+MAX_MESSAGE = 300  # characters of what an error says of itself
+USERS = "coopqp.scenario.catalog.at_"  # how names of modules begin that lie in users' folders
 
 
 def dotted(location: Location) -> str:
@@ -73,25 +73,30 @@ def faults(
     return list(_either(dict.fromkeys(kept)))
 
 
-def said(error: BaseException) -> str:
+def message_of(error: BaseException) -> str:
     """What an error says of itself, in one line; empty where it cannot even do that."""
     words = ""
     with suppressed():  # an error may be of a user's class
-        words = " ".join(str(error).split())
-    return one_line(words if len(words) <= MOST_SAID else f"{words[:MOST_SAID]}...")
+        words = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
+    return one_line(words if len(words) <= MAX_MESSAGE else f"{words[:MAX_MESSAGE]}...")
 
 
 def raised(error: BaseException, file: str | None = None) -> str:
     """``FILE:LINE: raises ZeroDivisionError: division by zero``, of a file or outside libraries."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if file in (None, frame.filename)]
     if file is None:  # who called a library tells more than where in it that ended
-        own = [frame for frame in own if "site-packages" not in frame.filename] or own
-    place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
-    words = said(error)
-    if isinstance(error, SyntaxError) and error.filename:  # of a file that was about to run
-        place, words = f"{error.filename}:{error.lineno}", error.msg
+        place = place_of(error, lambda name: "site-packages" not in name) or place_of(error)
+    else:
+        place = place_of(error, lambda name: name == file) or file
+    words = message_of(error)
     return f"{place}: raises {type(error).__name__}{f': {words}' if words else ''}"
+
+
+def place_of(error: BaseException, is_own: Callable[[str], bool] = lambda name: True) -> str:
+    """``FILE:LINE`` of what cannot be run, or of the last call in files that count; or empty."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}:{error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    return next((f"{f.filename}:{f.lineno}" for f in reversed(frames) if is_own(f.filename)), "")
 
 
 @contextmanager
@@ -145,13 +150,13 @@ def _codes(cls: type) -> set[types.CodeType]:
 
 def _meant(found: Iterable[tuple[str, tuple[str | int, ...], str]]) -> dict[Location, str]:
     """Words on unknown keys that are missing ones mistyped; on those, which these say, none."""
-    said = dict[Location, str]()
+    meant = dict[Location, str]()
     missing = {place for kind, place, _ in found if kind.startswith("missing")}
     for place in (place for kind, place, _ in found if kind in UNKNOWN):
         keys = [str(key) for *parents, key in missing if (*parents,) == place[:-1]]
         if near := get_close_matches(str(place[-1]), keys, n=1, cutoff=0.5):
-            said |= {place: unknown_name("key", str(place[-1]), near), (*place[:-1], *near): ""}
-    return said
+            meant |= {place: unknown_name("key", str(place[-1]), near), (*place[:-1], *near): ""}
+    return meant
 
 
 def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:
@@ -188,7 +193,7 @@ def _fault(
         there = location and location[-1] == needed
         return location, "is missing" if there else f"needs the key '{needed}'"
     needs = detail["msg"].removeprefix("Value error, ")
-    for theirs, ours in WORDS.items():
+    for theirs, ours in REPLACEMENTS.items():
         needs = re.sub(theirs, ours, needs)
     if needs.startswith(("unknown ", "found ", "is empty")):
         return location, needs

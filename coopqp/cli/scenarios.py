@@ -102,7 +102,8 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
         report = lambda done, total: progress(done / total)  # noqa: E731
         start = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
-        print_json({key: getattr(start, key) for key in ("start", "margin", "tries", "found")})
+        keys = {key: getattr(start, key) for key in ("start", "margin", "tries")}
+        print_json(keys | {"found": start.candidates})
     else:
         click.echo(yaml_text(start), nl=False)
 
@@ -128,7 +129,7 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
         click.echo(report.reach_json(result))
         return
     say(result.sentence, aside=False)
-    if result.found:
+    if result.solutions:
         show(report.configurations(result))
 
 
@@ -160,7 +161,7 @@ def plan(
     planning.check_written(out, loaded, planning.PATH)
     with files.checked_folder(out), options.bar("planning") as progress:
         result = plan(loaded, keep=keep, budget=budget, progress=progress)
-        if not result.found:
+        if not result.success:
             raise CoopqpError(result.sentence)
         written = planning.write_plan(result, loaded, out, keep) if out else ()
     click.echo(planning.plan_json(result)) if as_json else say(result.sentence, aside=False)

@@ -43,7 +43,7 @@ def time_(
     PATH is a recorded run, a CSV file with a column for each joint, or with the object's x, y, z,
     qx, qy, qz and qw, or the folder of one.
     """
-    from coopqp.planning.given_path import table_of
+    from coopqp.planning.closed_path import table_of
     from coopqp.planning.time_along import time_phases, would_do
     from coopqp.report import files
     from coopqp.report.planning import TIMED, check_written, limits_table, phase_titles, write_timed

@@ -181,7 +181,7 @@ class ClosedLoopDynamics:
         self._relative.dot(self.drift_arms, self._drift_rel)
         if self.chain.loops.varying:
             kept = np.array(self.chain.loops.kept, int)
-            chosen = kept[independent_rows(self._J_rel[kept], most=len(self.drift))]
+            chosen = kept[independent_rows(self._J_rel[kept], max_rows=len(self.drift))]
             # At a singular pose fewer rows are independent; any others fill up.
             self.kept = np.concatenate([chosen, np.setdiff1d(kept, chosen)])[: len(self.drift)]
         if self.J is not self._J_rel:

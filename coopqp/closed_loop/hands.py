@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.spec import Array, real
-from coopqp.base.wording import said
+from coopqp.base.wording import message_of
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.grasp import Contact
 from coopqp.model.closed_chain import ClosedChain
@@ -88,7 +88,8 @@ class WrenchReadings:
         try:
             given = real(reading)
         except Exception as error:  # noqa: BLE001 - anything can come from a driver
-            return f"hand_wrench: {said(error) or f'found {type(reading).__name__}, needs numbers'}"
+            message = message_of(error) or f"found {type(reading).__name__}, needs numbers"
+            return f"hand_wrench: {message}"
         if given.shape != (self._size,):
             return f"hand_wrench: found shape {given.shape}, needs {(self._size,)}: {NEEDS}"
         bad = np.flatnonzero(~np.isfinite(given))

@@ -79,5 +79,5 @@ def _best(chain: ClosedChain) -> tuple[int, ...]:
             f"{', '.join(chain.joint_names[i] for i in passive)} turn; take another controller"
         )
     rest = null_space(J_c[:, passive].T).T @ J_c
-    taken = [*passive, *independent_rows(rest.T, most=len(J_c) - len(passive))]
+    taken = [*passive, *independent_rows(rest.T, max_rows=len(J_c) - len(passive))]
     return tuple(i for i in range(chain.n) if i not in taken)

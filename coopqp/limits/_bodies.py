@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.reading import version
-from coopqp.base.spec import Array
+from coopqp.base.spec import UNLIMITED, Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import Capsule, Convex, Form, RobotModel, Shape
 from coopqp.robot_files.meshes import read_mesh
@@ -87,10 +87,10 @@ def of_capsule(capsule: Capsule) -> Convex:
 
 
 def _sizes(shape: Shape) -> tuple[float, ...]:
-    if len(shape.size) != NUMBERS[shape.kind] or not np.isfinite(shape.size).all():
-        raise InvalidValueError(
-            f"{shape.kind}: found size {list(shape.size)}, needs {NUMBERS[shape.kind]} numbers"
-        )
+    count = NUMBERS[shape.kind]
+    if len(shape.size) != count or not np.isfinite(shape.size).all():
+        words = f"found size {list(shape.size)}, needs {count} numbers"
+        raise InvalidValueError(f"{shape.kind}: {words}")
     return shape.size
 
 
@@ -283,9 +283,6 @@ OBJECT = "object"
 #: construction do.
 SAMPLES, SHARE = 100, 0.95
 
-#: Reach of a joint without limits in them [rad or m].
-UNLIMITED = np.pi
-
 
 class _Tree:
     """Which bodies follow which."""
@@ -300,7 +297,6 @@ class _Tree:
             for joint in way
             if sum(joint in other for other in ways) == 1
         }
-
         frames = list(model.frames)
         self._root_ids = [i for i, f in enumerate(frames) if i and f.parentFrame == 0]
         self._roots = [frames[i].name for i in self._root_ids]
@@ -348,11 +344,13 @@ class _Tree:
         return found
 
 
-def robot_bodies(robot: RobotModel, model: pin.Model) -> tuple[list[Body], list[str]]:
+def _robot_bodies(of: RobotModel | ClosedChain) -> tuple[list[Body], list[str]]:
     """The robot's bodies, from capsules or shapes, and a sentence for each part that cannot be one.
 
-    Meshes of one link are one body: robots drawn in CAD have one for every screw.
+    Meshes of one link are one body: robots drawn in CAD have one for every screw. Of a chain joints
+    are those of its model.
     """
+    robot, model = of.robot if isinstance(of, ClosedChain) else of, of.model
     bodies = [
         Body(c.name, model.getJointId(c.joint) if c.joint else 0, of_capsule(c))
         for c in robot.capsules
@@ -395,7 +393,7 @@ def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
 
     InvalidValueError: the robot has none.
     """
-    bodies, faults = chain.once(_of_the_robot)
+    bodies, faults = chain.once(_robot_bodies)
     if not bodies:
         why = f": {faults[0]}" if faults else ""
         raise InvalidValueError(
@@ -406,10 +404,6 @@ def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
     size = tuple(float(edge) for edge in chain.held.size)
     box = Shape(frame=frame.name, placement=frame.placement, kind="box", size=size)
     return [*bodies, Body(OBJECT, frame.parentJoint, of_shape(box))], faults
-
-
-def _of_the_robot(chain: ClosedChain) -> tuple[list[Body], list[str]]:
-    return robot_bodies(chain.robot, chain.model)
 
 
 def named_bodies(
@@ -438,7 +432,7 @@ def pairs_that_can_meet(chain: ClosedChain) -> list[Pair]:
 
 def _apart(chain: ClosedChain) -> tuple[_Tree, list[Pair]]:
     """Pairs of the robot's bodies that are no neighbours and do not touch by construction."""
-    bodies, _ = chain.once(_of_the_robot)
+    bodies, _ = chain.once(_robot_bodies)
     tree, joined = _Tree(chain.robot, chain.model, bodies), by_construction(chain.robot)
     return tree, [
         (a, b) if a.joint else (b, a)  # the base comes second
@@ -451,31 +445,26 @@ def _apart(chain: ClosedChain) -> tuple[_Tree, list[Pair]]:
 def by_construction(robot: RobotModel) -> frozenset[frozenset[str]]:
     """Names of the pairs of one robot's bodies that touch by construction."""
     model, data = robot.model, robot.model.createData()
-    bodies, _ = robot_bodies(robot, model)
+    bodies, _ = _robot_bodies(robot)
     tree = _Tree(robot, model, bodies)
     pairs = [
         (a, b)
         for a, b in itertools.combinations(bodies, 2)
         if tree.root(a) == tree.root(b) and not tree.neighbours(a, b)
     ]
-    found, touches = Distances(pairs), np.zeros(len(pairs), int)
-    zero, *samples = _configurations(model)
-    for q in samples:
+    found, touch = Distances(pairs), np.zeros((1 + SAMPLES, len(pairs)), bool)
+    for q, row in zip(_configurations(model), touch, strict=True):
         pin.updateGeometryPlacements(model, data, found.geometry, found.placed, q)
-        found.update(0.0)
-        touches += found.d < 0.0
-    pin.updateGeometryPlacements(model, data, found.geometry, found.placed, zero)
-    found.update(0.0)
-    at_zero = [d < 0.0 and tree.carries(*pair) for d, pair in zip(found.d, pairs, strict=True)]
-    left_out = np.flatnonzero((touches >= SHARE * SAMPLES) | np.array(at_zero, bool)).tolist()
+        found.measure(0.0)
+        row[:] = found.d < 0.0
+    at_zero = touch[0] & np.array([tree.carries(*pair) for pair in pairs], bool)
+    left_out = np.flatnonzero((touch[1:].sum(axis=0) >= SHARE * SAMPLES) | at_zero).tolist()
     return frozenset(frozenset(body.name for body in pairs[i]) for i in left_out)
 
 
 def _configurations(model: pin.Model) -> Array:
     """All joints at zero, or at their limit nearest to it, then random ones."""
-    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
-    zero = np.clip(0.0, lower, upper)
-    lower = np.where(np.isfinite(lower), lower, -UNLIMITED)
-    upper = np.where(np.isfinite(upper), upper, UNLIMITED)
+    ends = np.array([model.lowerPositionLimit, model.upperPositionLimit])
+    lower, upper = np.where(np.isfinite(ends), ends, [[-UNLIMITED], [UNLIMITED]])
     samples = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))
-    return np.vstack([zero, samples])
+    return np.vstack([np.clip(0.0, *ends), samples])

@@ -16,7 +16,7 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
-from coopqp.base.spec import Array, Name, NonNegative, Positive, overshoot, spec
+from coopqp.base.spec import UNLIMITED, Array, Name, NonNegative, Positive, overshoot, spec
 from coopqp.limit import (
     SHALLOW,
     Clearance,
@@ -37,7 +37,7 @@ from coopqp.model.state import State
 BACK = 0.1
 
 #: Pairs that one limit watches at most: a tick with so many takes some milliseconds.
-MOST_PAIRS = 2500
+MAX_PAIRS = 2500
 #: Bodies that start nearer than asked by less are not worth a word [m].
 WORTH_SAYING = 5e-5
 #: How many of those that do are named.
@@ -51,17 +51,15 @@ CLOSE = 0.005
 SLAB, LATER = 0.002, 3.0
 #: Sizes of corners are the same that differ by less, or by such a share [m, -].
 EVEN = 1e-9
-#: Reach of a sliding joint without limits [m].
-UNLIMITED = math.pi
 #: Speed of a joint that nothing bounds [rad/s, m/s].
 FASTEST = 1e6
 
 
 def check_count(name: str, count: int) -> None:
     """InvalidValueError for more pairs than can be watched, with what to do."""
-    if count > MOST_PAIRS:
+    if count > MAX_PAIRS:
         raise InvalidValueError(
-            f"{name}: watches {count} pairs, at most {MOST_PAIRS} can be; name the bodies that "
+            f"{name}: watches {count} pairs, at most {MAX_PAIRS} can be; name the bodies that "
             "can meet, or make several things one"
         )
 
@@ -71,7 +69,7 @@ class KeepApart(Limit):
     """A limit that keeps pairs of bodies at a distance, by dampers."""
 
     name: Name
-    """Yours for it."""
+    """Your name for it in rows and tables; give it when there are several."""
     distance: NonNegative = 0.01
     """Kept free between two that are watched [m]."""
     gain: Positive = 10.0
@@ -103,25 +101,27 @@ class KeepApart(Limit):
         """
         self._check_gain(dt)
         pairs, distance, gain = self.watched(chain), self.distance, self.gain
-        found, count = Distances(pairs), len(pairs)
-        corners, later = Corners(pairs, found, distance), min(LATER * gain, 1.0 / dt - gain)
+        distances, count = Distances(pairs), len(pairs)
+        corners, later = Corners(pairs, distances, distance), min(LATER * gain, 1.0 / dt - gain)
         gains, shallow = np.full(count + ROWS, gain), max(distance, SHALLOW)
         deep, ways = np.zeros(count + ROWS, bool), dt * max_closing_speeds(chain, pairs)
         first, second = _moved(chain, pairs)
         sign = first - second  # joints that move both bodies change no distance
 
         def tighten(state: State, rows: LimitRows) -> None:
-            state.place(found.geometry, found.placed)
+            state.place(distances.geometry, distances.placed)
             speed = np.minimum(np.maximum(np.abs(rows.lb), np.abs(rows.ub)), FASTEST)
             far = np.maximum(ways.dot(speed) + distance, self.within)
-            found.update(far)
+            distances.update(far)
             corners.update()
-            damp(np.concatenate([found.d - distance, corners.margin]), gains, deep, rows.h, shallow)
-            rows.h[:count] += (1.0 / dt - gain) * np.maximum(found.d - self.within, 0.0)
+            margin = np.concatenate([distances.d - distance, corners.margin])
+            damp(margin, gains, deep, rows.h, shallow)
+            rows.h[:count] += (1.0 / dt - gain) * np.maximum(distances.d - self.within, 0.0)
             rows.h[count:] += later * corners.behind
             rows.G[:] = 0.0
-            near = found.near[found.d[found.near] < far[found.near]]
-            rows.G[near] = _wrenches(found.n[near], found.p[near]).dot(state.J_joints) * sign[near]
+            near = distances.near[distances.d[distances.near] < far[distances.near]]
+            W = _wrenches(distances.n[near], distances.p[near])
+            rows.G[near] = W.dot(state.J_joints) * sign[near]
             if corners.count:
                 rows.G[count:] = corners.W.dot(state.J_joints) * sign[corners.pair]
             for i in (rows.h < 0.0).nonzero()[0].tolist():
@@ -153,12 +153,12 @@ class KeepApart(Limit):
 
     def clearance(self, chain: ClosedChain) -> Clearance:
         """What is left of each pair's distance [m], at most of ``within``; corners have none."""
-        found = Distances(self.watched(chain))
+        distances = Distances(self.watched(chain))
 
         def left(state: State) -> Array:
-            state.place(found.geometry, found.placed)
-            found.measure(self.within)
-            return np.asarray(np.minimum(found.d, self.within) - self.distance, float)
+            state.place(distances.geometry, distances.placed)
+            distances.measure(self.within)
+            return np.asarray(np.minimum(distances.d, self.within) - self.distance, float)
 
         return left
 
@@ -187,27 +187,26 @@ class KeepApart(Limit):
 
     def nearer(self, found: Sequence[tuple[Body, Body, float]]) -> Iterator[str]:
         """A sentence on those of :meth:`at_start` that are nearer than the distance to keep."""
-        limit = self.distance - WORTH_SAYING
-        if near := [self._nearer(*pair) for pair in found if pair[2] < limit]:
+        kept = self.distance
+        near = [
+            f"{a.name} starts {-1e3 * d:.1f} mm in {b.name}" if d < 0.0 else
+            f"{a.name} starts {1e3 * (kept - d):.1f} mm nearer to {b.name} than distance "
+            f"({1e3 * d:.1f} of {1e3 * kept:g} mm)"
+            for a, b, d in found if d < kept - WORTH_SAYING
+        ]  # fmt: skip
+        if near:
             more = f", and {len(near) - SHOWN} pairs more" if len(near) > SHOWN else ""
             yield f"{self.name}: {', '.join(near[:SHOWN])}{more}"
-
-    def _nearer(self, one: Body, other: Body, d: float) -> str:
-        if d < 0.0:
-            return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
-        lacks = 1e3 * (self.distance - d)
-        nearer = f"{one.name} starts {lacks:.1f} mm nearer to {other.name} than distance"
-        return f"{nearer} ({1e3 * d:.1f} of {1e3 * self.distance:g} mm)"
 
 
 def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
     """Distance of each pair at each row of q, shape (T, p) [m]."""
-    found = Distances(pairs)
+    distances = Distances(pairs)
     d = np.zeros((len(q), len(pairs)))
     for state, row in zip(states_along(chain, q), d, strict=True):
-        state.place(found.geometry, found.placed)
-        found.measure(math.inf)
-        row[:] = found.d
+        state.place(distances.geometry, distances.placed)
+        distances.measure(math.inf)
+        row[:] = distances.d
     return d
 
 
@@ -232,27 +231,27 @@ class Corners:
         count: how many rows have a corner.
     """
 
-    def __init__(self, pairs: Sequence[Pair], found: Distances, distance: float) -> None:
-        self._pairs, self._found, self._distance = pairs, found, distance
+    def __init__(self, pairs: Sequence[Pair], distances: Distances, distance: float) -> None:
+        self._pairs, self._distances, self._distance = pairs, distances, distance
         # Which can touch in more than one point.
         self._flat = [all(len(body.convex.points) > 1 for body in pair) for pair in pairs]
         self.margin, self.behind, self.W = np.ones(ROWS), np.zeros(ROWS), np.zeros((ROWS, 6))
         self.pair, self.count = np.zeros(ROWS, np.int64), 0
 
     def update(self) -> None:
-        found = self._found
+        distances = self._distances
         if self.count:
             self.margin[:], self.behind[:], self.W[:], self.count = 1.0, 0.0, 0.0, 0
-        margin = found.d[found.near] - self._distance
+        margin = distances.d[distances.near] - self._distance
         (close,) = (margin < CLOSE).nonzero()
         for k in close[margin[close].argsort(kind="stable")].tolist():
-            pair = int(found.near[k])
+            pair = int(distances.near[k])
             if not self._flat[pair]:
                 continue
-            n = found.n[pair]
-            for corner, s in self._corners(pair, n, found.p[pair])[: ROWS - self.count]:
+            n = distances.n[pair]
+            for corner, s in self._corners(pair, n, distances.p[pair])[: ROWS - self.count]:
                 self.margin[self.count], self.pair[self.count] = s - self._distance, pair
-                self.behind[self.count] = max(s - found.d[pair], 0.0)
+                self.behind[self.count] = max(s - distances.d[pair], 0.0)
                 self.W[self.count] = _wrenches(n, corner)
                 self.count += 1
 
@@ -273,7 +272,7 @@ class Corners:
     def _ends(self, pair: int, side: int, n: Array) -> tuple[Array, Array]:
         """A body's points next to the plane that bounds it, and their heights along n."""
         convex = self._pairs[pair][side].convex
-        X = self._found.placed.oMg[self._found.ids[pair][side]]
+        X = self._distances.placed.oMg[self._distances.ids[pair][side]]
         out = -1.0 if side else 1.0
         R, o = X.rotation, X.translation
         heights = convex.points.dot(n.dot(R))

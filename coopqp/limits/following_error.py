@@ -52,8 +52,8 @@ class FollowingError(Limit):
         return tighten
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds:
-        most = np.where(_driven(chain), self.max, np.inf)
-        return JointBounds(of=Bounded.LEAD, lower=-most, upper=most)
+        lead = np.where(_driven(chain), self.max, np.inf)
+        return JointBounds(of=Bounded.LEAD, lower=-lead, upper=lead)
 
 
 def _driven(chain: ClosedChain) -> NDArray[np.bool_]:

@@ -37,5 +37,5 @@ class JointVelocity(Limit):
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Speed left in each tick [rad/s, m/s]."""
-        most = self.scale * chain.velocity
-        return joint_margins("velocity", chain, most + v, most - v, per="/s")
+        limit = self.scale * chain.velocity
+        return joint_margins("velocity", chain, limit + v, limit - v, per="/s")

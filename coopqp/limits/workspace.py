@@ -49,7 +49,7 @@ class Workspace(Limit):
         known = [frame.name for frame in chain.model.frames]
         require_known("frame", self.frames, known, f"{self.name}: ", ("frames",))
         points = {
-            f"object[{i}]": f"{self._words(point)} of the object"
+            f"object[{i}]": f"{self._name_of(point)} of the object"
             for i, point in enumerate(self._points(chain))
         }
         return tuple(
@@ -88,8 +88,7 @@ class Workspace(Limit):
         if self.frames:
             return None
         n, offset = self._plane()
-        points = self._points(chain)
-        return TwistBounds(points=points, normal=n, offset=offset, gain=self.gain)
+        return TwistBounds(points=self._points(chain), normal=n, offset=offset, gain=self.gain)
 
     def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each point from the plane [m]."""
@@ -114,7 +113,7 @@ class Workspace(Limit):
         n = unit(self.normal)
         return n, float(n @ np.array(self.through))
 
-    def _words(self, point: Array) -> str:
+    def _name_of(self, point: Array) -> str:
         if self.points is None:
             sides = (
                 f"{'+' if c > 0.0 else '-'}{axis}" for c, axis in zip(point, "xyz", strict=True)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.base.spec import Array, real, type_name
-from coopqp.base.wording import said, suppressed
+from coopqp.base.wording import message_of, suppressed
 from coopqp.model.state import State
 
 #: Most joints, loops, limits or tasks that a note names; a limit is reached if so much is left
@@ -89,7 +89,7 @@ class Why:
             if first <= limit.sacrificed_first:
                 with suppressed():
                     margins = limit.margins(problem.chain, q, v, dt)
-                    found |= {row.words: float(left[-1]) for row, left in margins.items()}
+                    found |= {row.label: float(left[-1]) for row, left in margins.items()}
         reached = sorted((left, name) for name, left in found.items() if left <= REACHED)
         return prefix * bool(reached) + ", ".join(name for _, name in reached[:MOST_NAMED])
 
@@ -173,7 +173,7 @@ def _numbers(found: Any) -> Array | str:
     try:
         return real(found)
     except ValueError as error:
-        return said(error) or "needs numbers"
+        return message_of(error) or "needs numbers"
 
 
 #: What Why has words for; the others are the loop's and the plants', which have their own.

@@ -354,7 +354,7 @@ class State:
     def _update_loop_rows(self) -> None:
         rows = self._kept
         if self.chain.loops.varying:
-            rows = rows[independent_rows(self._J_rel[rows], most=len(self._e_loop))]
+            rows = rows[independent_rows(self._J_rel[rows], max_rows=len(self._e_loop))]
             # At a singular pose fewer rows are independent; the missing ones ask for nothing.
             self._J_loop[:], self._e_loop[:] = 0.0, 0.0
         self._J_loop[: len(rows)] = self._J_rel[rows]

@@ -13,7 +13,7 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.spec import Array, real
-from coopqp.base.wording import raised, said
+from coopqp.base.wording import message_of, raised
 from coopqp.kernel import native
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.input import AHEAD, Arrival, Inputs, InputSettings
@@ -234,7 +234,7 @@ class Readings:
         try:
             return real(given)
         except Exception as error:  # noqa: BLE001 - anything can come from a driver
-            self.note = said(error) or f"found {type(given).__name__}, needs numbers"
+            self.note = message_of(error) or f"found {type(given).__name__}, needs numbers"
             return None
 
     def _with_rates(self, given: Any) -> tuple[Any, Any]:

@@ -25,7 +25,7 @@ from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
-from coopqp.base.wording import said
+from coopqp.base.wording import message_of
 from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl, Law
 from coopqp.controllers import QPController, TorqueQp
 from coopqp.controllers.passive_grasp_pid import TorquePid
@@ -348,7 +348,9 @@ class Phases:
             if pose is not None:
                 self.object_pose = pose_of(pose, self._given.chain)
         except Exception as error:  # noqa: BLE001 - anything can come from a camera
-            self._pose_faults = (said(error) or f"object_pose: found a {type(pose).__name__}",)
+            self._pose_faults = (
+                message_of(error) or f"object_pose: found a {type(pose).__name__}",
+            )
         return others, hand_wrench
 
     def take(self, inputs: Any, hand_wrench: Any, now: float, ahead: float) -> list[Arrival]:

@@ -8,11 +8,14 @@ Neither q' nor q'' of a spline is tangent to the loops between knots, and intern
 fight what is left. With J and Jdot of the loops and J^+ of least norm,
 
     q' <- q' - J^+ J q',   q'' <- q'' - J^+ (J q'' + Jdot q')
+
+The points are an array, a recorded run, or a table in a file.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,16 +23,29 @@ import pinocchio as pin
 
 from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
 from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import Table, open_bytes, read_table
 from coopqp.base.spec import Array, array
+from coopqp.execution.controller_run import run
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.model.profile import Profile
+from coopqp.plant import Disturbance
+from coopqp.plants import Kinematic
+from coopqp.recordings import read, trace_in
+from coopqp.scenario.planned import PHASE, rows_of_phases
+from coopqp.scenario.scenario import Scenario
+from coopqp.signal import POSE, quaternion_of
+from coopqp.signals import Waypoints
+from coopqp.task import Task
+from coopqp.tasks import Pose
+from coopqp.trace import Trace
 
 #: Largest gap of the loops between knots [m, rad].
 CLOSED = 1e-5
 #: Of given points: ten times the verdict's, as planners and loggers round.
 GIVEN_POSITION, GIVEN_ORIENTATION = 10.0 * CLOSED_POSITION, 10.0 * CLOSED_ORIENTATION
 #: Distance of knots at first [rad, m], fewest intervals, and how often they are halved.
-SPACING, FEWEST, HALVINGS = 0.05, 12, 5
+SPACING, MIN_INTERVALS, HALVINGS = 0.05, 12, 5
 #: Places an interval at which closure and limits are looked at.
 FINER = 10
 #: Points that are nearer to the one before, as a share of the knots' distance, add their rounding.
@@ -50,6 +66,10 @@ DAMPING = 1e-10
 NEWTON = 12
 #: Times that knots, where a spline swings beyond a limit, are put inside and onto the loops.
 ALTERNATIONS = 8
+#: Bytes of a header, by which a recorded run is told from a table of joints.
+LINE = 1 << 16
+#: Of a run along poses of the object: its duration [s], its law, and how near it comes [m, rad].
+SLOW, LAW, CARRIED, CARRIED_ANGLE = 10.0, "qp", 1e-3, 1e-2
 
 
 class Moved(NamedTuple):
@@ -163,8 +183,7 @@ def on_lines(at: Array, s: Array, q: Array) -> Array:
 
 def lengths(q: Array) -> Array:
     """Length of a path up to each of its rows [rad, m]."""
-    steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
 
 
 class Along(NamedTuple):
@@ -179,23 +198,14 @@ class Along(NamedTuple):
 
 @dataclass(frozen=True)
 class ClosedPath:
-    """q(s), a quintic spline; s is about the joints' way [rad, m].
-
-    Attributes:
-        chain: the closed chain.
-        length: s runs from 0 to it.
-        spline: of scipy, q by s.
-        gap: largest gap of the loops at ten places an interval [m].
-        deviation: farthest that a given point is from the path [rad, m].
-        points: s of the given points, shape (N,).
-    """
+    """q(s), a quintic spline; s is about the joints' way [rad, m]."""
 
     chain: ClosedChain
-    length: float
-    spline: Any
-    gap: float
-    deviation: float
-    points: Array
+    length: float  # s runs from 0 to it
+    spline: Any  # of scipy, q by s
+    gap: float  # largest gap of the loops at ten places an interval [m]
+    deviation: float  # farthest that a given point is from the path [rad, m]
+    points: Array  # s of the given points, shape (N,)
 
     @cached_property
     def _derivatives(self) -> tuple[Any, Any]:
@@ -221,10 +231,8 @@ def closed_path(chain: ClosedChain, points: Array, spacing: float = SPACING) -> 
     """A path through closed configurations, shape (N, n) [rad, m].
 
     Corners are rounded over about ``spacing``, the distance of its knots [rad, m].
-
-    Raises:
-        InvalidValueError: points that are no numbers, outside the limits, not closed or too far
-            apart, or a path that does not move or leaves loops or limits; says where.
+    InvalidValueError: points that are no numbers, outside the limits, not closed or too far apart,
+    or a path that does not move or leaves loops or limits; says where.
     """
     loops = Loops(chain)
     Q = _checked(chain, loops, points)
@@ -232,7 +240,7 @@ def closed_path(chain: ClosedChain, points: Array, spacing: float = SPACING) -> 
     way, s, smooth = _thinned(Q, THINNED * spacing)
     length = float(s[-1])
     guess = _spline(s, smooth, 3)
-    intervals = max(FEWEST, int(np.ceil(length / spacing)))
+    intervals = max(MIN_INTERVALS, int(np.ceil(length / spacing)))
     for _ in range(HALVINGS):
         at = np.linspace(0.0, length, intervals + 1)
         straight = knots = guess(at)
@@ -260,8 +268,8 @@ def closed_path(chain: ClosedChain, points: Array, spacing: float = SPACING) -> 
 
 def still_path(chain: ClosedChain, q: Array, length: float) -> ClosedPath:
     """One configuration all along."""
-    s = np.linspace(0.0, length, FEWEST)
-    spline = _spline(s, np.zeros((FEWEST, len(q))), 5)
+    s = np.linspace(0.0, length, MIN_INTERVALS)
+    spline = _spline(s, np.zeros((MIN_INTERVALS, len(q))), 5)
     spline.c[:] = q
     gap = float(Loops(chain).gaps(q[None]).max())
     return ClosedPath(chain, length, spline, gap, 0.0, s[[0, -1]])
@@ -299,10 +307,10 @@ def _beyond(chain: ClosedChain, Q: Array) -> Array:
     return np.asarray(np.maximum(chain.lower - Q, Q - chain.upper))
 
 
-def _refuse_outside(chain: ClosedChain, Q: Array, most: float, place: Callable[[int], str]) -> None:
+def _refuse_outside(chain: ClosedChain, Q: Array, tol: float, place: Callable[[int], str]) -> None:
     beyond = _beyond(chain, Q)
     k, j = np.unravel_index(int(beyond.argmax()), beyond.shape)
-    if beyond[k, j] > most:
+    if beyond[k, j] > tol:
         end = chain.upper[j] if Q[k, j] > chain.upper[j] else chain.lower[j]
         unit = chain.joint_units[j]
         advice = "give one inside the limits, and points nearer together where it runs along them"
@@ -356,9 +364,9 @@ def _refuse_jumps(steps: Array) -> None:
     k, usual = int(steps.argmax()), float(np.median(steps))
     alone = len(steps) > 9 and steps[k] > max(UNLIKE * usual, 6.0 * SPACING)
     if steps[k] > JUMP or alone:
-        beside = f", where the others are {usual:.2g} apart" if alone else ""
+        others = f", where the others are {usual:.2g} apart" if alone else ""
         raise InvalidValueError(
-            f"path: it jumps by {steps[k]:.3g} rad from point {k} to point {k + 1}{beside}; give "
+            f"path: it jumps by {steps[k]:.3g} rad from point {k} to point {k + 1}{others}; give "
             "points in between"
         )
 
@@ -376,3 +384,69 @@ def _refuse_moved(at: Array, way: Array, straight: Array, knots: Array) -> None:
 def _between(way: Array, s: float) -> str:
     k = min(max(int(np.searchsorted(way, s) - 1), 0), len(way) - 2)
     return f"between points {k} and {k + 1}"
+
+
+def given_path(path: Any, scenario: Scenario, controller: str | None) -> list[Any]:
+    """Configurations from whatever has them; those of each phase of a plan with phases."""
+    if not isinstance(path, str | Path):
+        return [getattr(path, "q", path)]
+    joints = scenario.chain.joint_names
+    if file := table_of(Path(path)):
+        if controller is not None:
+            words = "is a table of joints, which no controller ran; leave it out"
+            raise InvalidValueError(f"controller: found {controller!r}, and {file} {words}")
+        table = read_table(file)
+        if set(POSE.columns) <= set(table.columns) and not set(joints) & set(table.columns):
+            if others := table.columns.keys() - {"t", PHASE, *POSE.columns}:
+                words = f"has columns that are no joints of {scenario.robot_model.name}"
+                raise InvalidValueError(f"{file}: {words}: {', '.join(sorted(others)[:3])} ...")
+            return [_carried(scenario, table)]
+        q, phases = table.take(joints), sum(not one.leads for one in scenario.schedule)
+        if PHASE not in table.columns:
+            return [q]
+        return [q[rows] for rows in rows_of_phases(table, phases)]
+    recorded = read(trace_in(Path(path)))
+    return [recorded.of(controller or recorded.controllers[0]).joints("q", joints)]
+
+
+def table_of(path: Path) -> Path | None:
+    """The file of a table of joints, from its own or its folder's path; None for a run's."""
+    if path.is_dir():
+        found = sorted(path.glob("*.csv"))
+        tables = [table for table in found if table_of(table)]
+        if len(tables) == len(found) > 1:
+            names = " and ".join(table.name for table in tables)
+            raise InvalidValueError(f"'{path}' has {names}; give one of them, not the folder")
+        return tables[0] if len(tables) == len(found) == 1 else None
+    if path.suffix == ".csv" and path.is_file():
+        with open_bytes(path) as stream:
+            return None if b"status" in stream.readline(LINE) else path
+    return None
+
+
+def calm_run(scenario: Scenario, tasks: tuple[Task, ...], seconds: float, law: str = LAW) -> Trace:
+    """A law's run with other tasks, by kinematics alone."""
+    calm = replace(
+        scenario, tasks=tasks, plant=Kinematic(), disturbance=Disturbance(), duration=seconds
+    )
+    return run(calm, controller=law, timed=False)
+
+
+def _carried(scenario: Scenario, table: Table) -> Array:
+    """Configurations along poses of the object, as the law brings it there slowly.
+
+    InvalidValueError: a pose from which it stays farther than ``CARRIED``; says which.
+    """
+    chain, poses = scenario.chain, table.take(POSE.columns)
+    first = chain.object_pose(chain.q_start)
+    values = [[*first.translation, *quaternion_of(first.rotation)], *poses.tolist()]
+    t = SLOW * np.linspace(0.0, 1.0, len(values))
+    task = Pose(goal=Waypoints(times=t.tolist(), values=values), profile=Profile(kind="step"))
+    trace, at = calm_run(scenario, (task,), SLOW), np.rint(t[1:] / scenario.dt).astype(int)
+    off, angle = trace.task_error[at].T
+    for k in np.flatnonzero((off > CARRIED) | (angle > CARRIED_ANGLE))[:1].tolist():
+        raise InvalidValueError(
+            f"{table.place(k)}: the law brings the object no nearer than {1e3 * off[k]:.3g} mm "
+            f"and {1e3 * angle[k]:.3g} mrad; lead it elsewhere, or plan a way"
+        )
+    return np.asarray(trace.q[at[0] :], float)

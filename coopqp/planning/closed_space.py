@@ -7,7 +7,7 @@ good as the mean logarithm of the smallest singular value of its followers' colu
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +20,7 @@ from pydantic import Field
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.rank import matrix_rank
-from coopqp.base.spec import Array, NonNegative, Positive, spec
+from coopqp.base.spec import UNLIMITED, Array, NonNegative, Positive, spec
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
 from coopqp.kernel.flat import Group, Levels, flat_distances, flat_model, kept_rows
@@ -34,17 +34,14 @@ from coopqp.task import Programs, Task, TaskStack
 
 LARGE = 1e300  # stands for no limit
 
-#: Joints without limits are sampled so far to both sides of the start [rad, m].
-UNLIMITED = np.pi
-
 #: Newton steps of a configuration that is far off the manifold.
 STEPS = 60
 
 #: Configurations at which charts are judged, how many of each leader are used, sets looked at.
-POSES, EACH, MOST_SETS = 30, 2, 200
+POSES, EACH, MAX_SETS = 30, 2, 200
 #: Followers are dependent below this singular value [m/rad, 1]; where a chart has this share of
 #: such poses, the chart in which no joint leads is used too.
-DEPENDENT, MOST = 0.02, 0.4
+DEPENDENT, MANY = 0.02, 0.4
 
 #: What a loop may be open by between the points of a path [m, rad], and a joint beyond its limit.
 OPEN, BEYOND = 1e-5, 1e-9
@@ -66,7 +63,7 @@ class Budget:
     """The same on a path [rad, m]."""
     reach: Positive = 1.5
     """Of a branch [rad, m]."""
-    most: Annotated[int, Field(ge=1)] = 20000
+    max_projections: Annotated[int, Field(ge=1)] = 20000
     """Projections after which trees begin anew, of other random numbers."""
     shortcuts: Annotated[int, Field(ge=0)] = 160
     """Tries to make a path shorter."""
@@ -141,9 +138,8 @@ class ClosedSpace:
 
     def is_free(self, q: Array) -> NDArray[np.bool_]:
         """Whether each row of q (N, n) keeps the limits in space."""
-        told = np.zeros(len(q), np.uint8)
-        self._engines[0].is_free(np.ascontiguousarray(q, float), told)
-        free = told.view(np.bool_)
+        free = np.zeros(len(q), np.bool_)
+        self._engines[0].is_free(np.ascontiguousarray(q, float), free.view(np.uint8))
         if self.others:
             free &= np.array([self.others(row) for row in q], bool)
         return free
@@ -154,11 +150,12 @@ class ClosedSpace:
         ``wait`` is called ten times a second and ends the search by raising.
         """
         low, high = self._sampled()
-        sizes = ("step", "fine", "seconds", "most", "shortcuts")
+        sizes = ("step", "fine", "seconds", "shortcuts")
         made = self._engines[0].find(
             {
                 **{name: float(getattr(budget, name)) for name in sizes},
                 "range": budget.reach,
+                "most": float(budget.max_projections),
                 "seed": int(budget.seed) % 2**64,  # the kernel's word; any number is a seed
                 "low": low,
                 "high": high,
@@ -221,10 +218,12 @@ def _charts(chain: ClosedChain, J: Array) -> NDArray[np.bool_]:
     charts, worst = [], 0.0
     for leader in chain.arms[: chain.holding]:
         own = [chain.joint_names.index(joint) for joint in chain.robot.arm_joints(leader)]
-        for follow in _best(J, _followers(chain.n, own, rank)):
+        sets = filter(None, _followers(chain.n, own, rank))
+        worth = {follow: float(np.log(_least(J, follow) + 1e-4).mean()) for follow in sets}
+        for follow in sorted(worth, key=lambda one: -worth[one])[:EACH]:
             charts.append(np.isin(np.arange(chain.n), follow, invert=True))
             worst = max(worst, float((_least(J, follow) < DEPENDENT).mean()))
-    if worst > MOST or not charts:
+    if worst > MANY or not charts:
         charts.append(np.zeros(chain.n, bool))
     return np.array(charts)
 
@@ -233,16 +232,10 @@ def _followers(n: int, leading: Sequence[int], rank: int) -> Iterator[tuple[int,
     """Sets of joints that can follow: of the other arms first, at most so many."""
     others = [j for j in range(n) if j not in leading]
     if len(others) >= rank:
-        yield from itertools.islice(itertools.combinations(others, rank), MOST_SETS)
+        yield from itertools.islice(itertools.combinations(others, rank), MAX_SETS)
         return
-    for more in itertools.islice(itertools.combinations(leading, rank - len(others)), MOST_SETS):
+    for more in itertools.islice(itertools.combinations(leading, rank - len(others)), MAX_SETS):
         yield (*others, *more)
-
-
-def _best(J: Array, sets: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
-    """The sets of followers that are worth most."""
-    worth = {follow: float(np.log(_least(J, follow) + 1e-4).mean()) for follow in sets if follow}
-    return sorted(worth, key=lambda follow: -worth[follow])[:EACH]
 
 
 def _least(J: Array, follow: Sequence[int]) -> Array:
@@ -252,26 +245,19 @@ def _least(J: Array, follow: Sequence[int]) -> Array:
 
 @dataclass(frozen=True)
 class Verification:
-    """What was seen along a path.
+    """What a second look at a path has shown."""
 
-    Attributes:
-        points: that were looked at.
-        open: largest loop error [m, rad].
-        beyond: how far a joint is outside its limits, at most [rad, m].
-        hits: points at which a limit in space is not kept.
-    """
-
-    points: int
-    open: float
-    beyond: float
-    hits: int
+    points: int  # that were looked at
+    open: float  # largest loop error [m, rad]
+    beyond: float  # how far a joint is outside its limits, at most [rad, m]
+    hits: int  # points at which a limit in space is not kept
 
     @property
     def good(self) -> bool:
         return self.open <= OPEN and self.beyond <= BEYOND and not self.hits
 
     @property
-    def words(self) -> str:
+    def message(self) -> str:
         """What is wrong; empty where nothing is."""
         wrong = [f"{self.hits} of {self.points} points break a limit in space"] * bool(self.hits)
         if self.open > OPEN:
@@ -350,5 +336,4 @@ def along(q: Array, every: float) -> Array:
     s = lengths(q)
     if len(q) < 2 or s[-1] == 0.0:
         return q[:1].copy()
-    at = np.linspace(0.0, s[-1], int(np.ceil(s[-1] / every)) + 1)
-    return on_lines(at, s, q)
+    return on_lines(np.linspace(0.0, s[-1], int(np.ceil(s[-1] / every)) + 1), s, q)

@@ -36,17 +36,17 @@ ROUNDING = 1e-12
 #: Largest u in the programs, over the median x_max.
 STEEPEST = 1e5
 #: Largest share of a limit that is told from none.
-MOST = 1e6
+MAX_SHARE = 1e6
 #: Where x_i of the pass before is missed by rounding, so much less of it is tried.
 LESS = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 
 
 class Stuck(Exception):  # noqa: N818 - not an error of users; the caller says what it means
-    """No u at a place: its index, and the least and most x there; NaN where there is none."""
+    """No u at a place: its index, and the bounds of x there; NaN where there is none."""
 
-    def __init__(self, place: int, least: float = np.nan, most: float = np.nan) -> None:
+    def __init__(self, place: int, lower: float = np.nan, upper: float = np.nan) -> None:
         super().__init__(place)
-        self.place, self.least, self.most = place, least, most
+        self.place, self.lower, self.upper = place, lower, upper
 
 
 def program(P: Array | None, q: Array, A: Array, upper: Array, lower: Array) -> Any:
@@ -76,19 +76,13 @@ def _by_simplex(q: Array, A: Array, upper: Array, lower: Array) -> Any:
 
 @dataclass(frozen=True)
 class Profile:
-    """A motion along a path.
+    """A motion along a path."""
 
-    Attributes:
-        s, x: places and sdot^2 there, shape (N,). u: sddot between them, shape (N - 1,).
-        most: largest sdot^2 from which the path can be followed, shape (N,).
-        wrench: that keeps the rows at both ends of each interval, shape (N - 1, 2, m) [N, N m].
-    """
-
-    s: Array
-    x: Array
-    u: Array
-    most: Array
-    wrench: Array
+    s: Array  # places, shape (N,)
+    x: Array  # sdot^2 there, shape (N,)
+    u: Array  # sddot between them, shape (N - 1,)
+    max_x: Array  # largest sdot^2 from which the path can be followed, shape (N,)
+    wrench: Array  # keeps the rows at both ends of each interval, shape (N - 1, 2, m) [N, N m]
 
     @cached_property
     def t(self) -> Array:
@@ -102,12 +96,7 @@ class Profile:
 
 
 class Passes:
-    """The programs of a path's intervals.
-
-    Args:
-        rows: at the places.
-        share: of the bounds, shape (N, r), and speed: of the speeds, shape (N,).
-    """
+    """The programs of a path's intervals, with shares of the bounds (N, r) and speeds (N,)."""
 
     def __init__(self, rows: Rows, share: Array, speed: Array) -> None:
         self._x = float(np.median(rows.x_max))
@@ -140,62 +129,58 @@ class Passes:
         self._s, self._ds = rows.s, ds
 
     def profile(self, start: float = 0.0, end: float = 0.0) -> Profile:
-        """The fastest one, from sdot^2 = start to end.
-
-        Raises:
-            Stuck: there is none.
-        """
-        least, most = self._backward(end / self._x)
+        """The fastest one, from sdot^2 = start to end; Stuck where there is none."""
+        lower, upper = self._backward(end / self._x)
         first = start / self._x
-        if not least[0] - 1e-9 <= first <= most[0] * (1.0 + 1e-9):
-            raise Stuck(0, least[0] * self._x, most[0] * self._x)
-        x, wrench = self._forward(min(max(first, least[0]), most[0]), least, most)
+        if not lower[0] - 1e-9 <= first <= upper[0] * (1.0 + 1e-9):
+            raise Stuck(0, lower[0] * self._x, upper[0] * self._x)
+        x, wrench = self._forward(min(max(first, lower[0]), upper[0]), lower, upper)
         u = np.diff(x) / (2.0 * self._ds)
         shape = len(u), 2, wrench.shape[1] // 2
         return Profile(
-            self._s, x * self._x, u * self._x, most * self._x, FORCE * wrench.reshape(shape)
+            self._s, x * self._x, u * self._x, upper * self._x, FORCE * wrench.reshape(shape)
         )
 
     def _backward(self, end: float) -> tuple[Array, Array]:
         N = len(self._x_max)
-        least, most = np.zeros(N), np.zeros(N)
-        least[-1] = most[-1] = end
+        lower, upper = np.zeros(N), np.zeros(N)
+        lower[-1] = upper[-1] = end
         if end > self._x_max[-1] * (1.0 + 1e-9):
             raise Stuck(N - 1, 0.0, self._x_max[-1] * self._x)
         cost = np.zeros(self._A.shape[2])
         for i in range(N - 2, -1, -1):
             cost[1] = -1.0
-            found = self._solve(i, cost, least[i + 1], most[i + 1])
+            found = self._solve(i, cost, lower[i + 1], upper[i + 1])
             if found is None:
                 raise Stuck(i)
-            most[i] = found[1]
-            if least[i + 1] > 0.0:  # else rest leads to rest: whatever is held there may stand
+            upper[i] = found[1]
+            if lower[i + 1] > 0.0:  # else rest leads to rest: whatever is held there may stand
                 cost[1] = 1.0
-                found = self._solve(i, cost, least[i + 1], most[i + 1])
-                least[i] = max(0.0, found[1]) if found is not None else most[i]
-        return least, most
+                found = self._solve(i, cost, lower[i + 1], upper[i + 1])
+                lower[i] = max(0.0, found[1]) if found is not None else upper[i]
+        return lower, upper
 
-    def _forward(self, first: float, least: Array, most: Array) -> tuple[Array, Array]:
-        x, cost = np.empty(len(most)), np.zeros(self._A.shape[2])
-        wrench = np.empty((len(most) - 1, len(cost) - 2))
+    def _forward(self, first: float, lower: Array, upper: Array) -> tuple[Array, Array]:
+        x, cost = np.empty(len(upper)), np.zeros(self._A.shape[2])
+        wrench = np.empty((len(upper) - 1, len(cost) - 2))
         x[0], cost[0] = first, -1.0
-        for i in range(len(most) - 1):
+        for i in range(len(upper) - 1):
             for less in (0.0, *LESS):
-                x_i = max(x[i] * (1.0 - less), least[i])
-                found = self._solve(i, cost, least[i + 1], most[i + 1], x_i)
+                x_i = max(x[i] * (1.0 - less), lower[i])
+                found = self._solve(i, cost, lower[i + 1], upper[i + 1], x_i)
                 if found is not None:
                     break
             else:
                 raise Stuck(i)
             x[i], wrench[i] = x_i, found[2:]
-            x[i + 1] = min(max(x_i + 2.0 * self._ds[i] * found[0], least[i + 1]), most[i + 1])
+            x[i + 1] = min(max(x_i + 2.0 * self._ds[i] * found[0], lower[i + 1]), upper[i + 1])
         return x, wrench
 
     def _solve(
-        self, i: int, cost: Array, least: float, most: float, fixed: float | None = None
+        self, i: int, cost: Array, x_lower: float, x_upper: float, fixed: float | None = None
     ) -> Any:
         upper, lower = self._upper[i], self._lower[i]
-        upper[self._next], lower[self._next] = most, least
+        upper[self._next], lower[self._next] = x_upper, x_lower
         kept = upper[1]
         if fixed is not None:
             upper[1] = lower[1] = fixed
@@ -223,20 +208,20 @@ class Share:
         self._A[k:, -1] = self._A[:k, -1][self._sided]
         self._upper = np.full(self._m + 1 + len(self._A), np.inf)
         self._lower, self._cost = -self._upper, np.zeros(self._m + 1)
-        self._upper[self._m], self._lower[self._m], self._cost[self._m] = MOST, 0.0, 1.0
+        self._upper[self._m], self._lower[self._m], self._cost[self._m] = MAX_SHARE, 0.0, 1.0
 
     def of(self, i: int, u: float, x: float) -> tuple[float, str]:
         """t, and the row that holds it back most; infinite where no wrench will do."""
         rows, m, k, sided = self._rows, self._m, len(self._at), self._sided
         if not k:
             return 0.0, ""
-        by_u, by_x, felt = rows.R[:, i, self._at] / self._scale
-        felt = felt + by_u * u + by_x * x
+        by_u, by_x, values = rows.R[:, i, self._at] / self._scale
+        values = values + by_u * u + by_x * x
         A, left = self._A, self._margin / self._scale
         by_wrench = rows.Rl[i, self._at] * (FORCE / self._scale)[:, None]
         by_wrench[np.abs(by_wrench) < ROUNDING] = 0.0
         A[:k, :m], A[k:, :m] = by_wrench, -by_wrench[sided]
-        self._upper[m + 1 : m + 1 + k], self._upper[m + 1 + k :] = left - felt, (left + felt)[sided]
+        self._upper[m + 1 :] = np.concatenate([left - values, (left + values)[sided]])
         solved = program(None, self._cost, A, self._upper, self._lower)
         if solved is None:
             return np.inf, ""
@@ -250,9 +235,9 @@ class Share:
         if not len(self._at):
             return np.zeros(len(u))
         R, hinged = self._rows.Rl[:, self._at], self._unit == 0.0
-        felt = self._rows.felt(u, x)[:, self._at] + times(R, lam)
+        values = self._rows.values(u, x)[:, self._at] + times(R, lam)
         if hinged.any():
             inverse = np.asarray(np.linalg.pinv(R[:, hinged]), float)
-            felt -= times(R, times(inverse, felt[:, hinged]))
-        used = np.where(self._sided, np.abs(felt), felt) - self._margin
+            values -= times(R, times(inverse, values[:, hinged]))
+        used = np.where(self._sided, np.abs(values), values) - self._margin
         return np.asarray((used[:, ~hinged] / self._unit[~hinged]).max(axis=1, initial=0.0), float)

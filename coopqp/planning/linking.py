@@ -44,7 +44,7 @@ from coopqp.robot import Convex, axis_of
 #: What is no length, lean or turn [m, 1].
 NOTHING = 1e-6
 #: Least radius of the bodies about the line, beyond what it has to be, and its accuracy [m].
-LEAST, FINE = 1e-3, 1e-4
+MIN_RADIUS, FINE = 1e-3, 1e-4
 #: What a body more on the way costs against a longer gap [m].
 HOP = 1e-4
 #: No body is thicker [m].
@@ -55,18 +55,12 @@ WHOLE = 1e-3
 
 @dataclass(frozen=True)
 class Held:
-    """Why two pieces of the line never cross.
+    """Why two pieces of the line never cross; nothing is proven where no margin is left."""
 
-    Attributes:
-        pieces: their names.
-        why: ``fixed`` to each other, ``bend``, ``bodies`` or ``gap``.
-        margin: how near pieces come that are fixed to each other [m]; what is left of a bend to
-            the folded one [rad]; the least radius of bodies about a piece, less half the gap [m].
-            Nothing is proven where it is not positive.
-    """
-
-    pieces: tuple[str, str]
-    why: str
+    pieces: tuple[str, str]  # their names
+    why: str  # "fixed" to each other, "bend", "bodies" or "gap"
+    # How near pieces come that are fixed to each other [m]; what is left of a bend to the folded
+    # one [rad]; the least radius of bodies about a piece, less half the gap [m].
     margin: float
 
 
@@ -78,7 +72,6 @@ class _Solid:
     convex: Convex
 
     def at(self, X: pin.SE3) -> _Placed:
-        """The body, with its joint at X."""
         faces, placed = _faces(self.convex.points.tobytes()), X * self.convex.placement
         assert faces is not None
         normals = faces[:, :3] @ placed.rotation.T
@@ -133,67 +126,48 @@ class _Gap:
     solids: _Solids
     ends: Array
 
-    @property
-    def length(self) -> float:
-        return float(np.linalg.norm(self.ends[1] - self.ends[0]))
-
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A part of the line between points of bodies that are fixed to each other.
+    """A part of the line between points of bodies that are fixed to each other."""
 
-    Attributes:
-        name: where it begins and ends.
-        fixed: what it is fixed to, the same for pieces that never move to each other.
-        solids: bodies that it lies in, but for its gaps.
-        gaps: in the frame of what it is fixed to.
-        ball: radius of balls about its points that are in these bodies, but for the gaps [m].
-        corners: in the same frame; none of a part of an arm.
-        bends: joints at its start and its end, 0 where there is no bend.
-    """
-
-    name: str
-    fixed: str
-    solids: _Solids
-    gaps: tuple[_Gap, ...] = ()
-    ball: float = 0.0
+    name: str  # where it begins and ends
+    fixed: str  # what it is fixed to, the same for pieces that never move to each other
+    solids: _Solids  # bodies that it lies in, but for its gaps
+    gaps: tuple[_Gap, ...] = ()  # in the frame of what it is fixed to
+    ball: float = 0.0  # radius of balls about its points in these bodies, but for the gaps [m]
+    # in the same frame; none of a part of an arm
     corners: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    bends: tuple[int, int] = (0, 0)
+    bends: tuple[int, int] = (0, 0)  # joints at its start and its end, 0 where there is no bend
 
-    def radius(self, kept: _Solids, least: float, fine: bool, beyond: dict[int, float]) -> float:
-        """Of balls about its points that lie in the kept bodies [m]; 0 if below ``least``.
+    def radius(self, kept: _Solids, needed: float, fine: bool, beyond: dict[int, float]) -> float:
+        """Of balls about its points that lie in the kept bodies [m]; 0 if below ``needed``.
 
-        Just ``least`` unless ``fine``. Points nearer to a bend than ``beyond`` do not count.
+        Just ``needed`` unless ``fine``. Points nearer to a bend than ``beyond`` do not count.
         """
-        return self.ball if self.solids <= kept and self.ball >= least and not self.gaps else 0.0
+        return self.ball if self.solids <= kept and self.ball >= needed and not self.gaps else 0.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Stretch(_Piece):
-    """A straight part of an arm, told at joints zero.
+    """A straight part of an arm, told at joints zero."""
 
-    Attributes:
-        line: start (3,) and direction (3,).
-        length: [m].
-        own: bodies that only turn about it.
-        near: balls about its ends in bodies beyond the bends there, or on both sides of these: half
-            of a ball about a bend in one, the other half, on the other side along the bend's axis,
-            in the other, however it is bent.
-    """
-
-    line: tuple[Array, Array]
-    length: float
-    own: tuple[_Placed, ...]
+    line: tuple[Array, Array]  # start (3,) and direction (3,)
+    length: float  # [m]
+    own: tuple[_Placed, ...]  # bodies that only turn about it
+    # Balls about its ends in bodies beyond the bends there, or on both sides of these: half of a
+    # ball about a bend in one, the other half, on the other side along the bend's axis, in the
+    # other, however it is bent.
     near: tuple[_Ball, ...]
 
-    def radius(self, kept: _Solids, least: float, fine: bool, beyond: dict[int, float]) -> float:
+    def radius(self, kept: _Solids, needed: float, fine: bool, beyond: dict[int, float]) -> float:
         low = beyond.get(self.bends[0], 0.0)
         high = self.length - beyond.get(self.bends[1], 0.0)
         if low > high:
             return np.inf
-        if not self._holds(kept, least, low, high):
+        if not self._holds(kept, needed, low, high):
             return 0.0
-        known, wrong = least, THICK if fine else least
+        known, wrong = needed, THICK if fine else needed
         while wrong - known > FINE:
             r = 0.5 * (known + wrong)
             known, wrong = (r, wrong) if self._holds(kept, r, low, high) else (known, r)
@@ -207,7 +181,6 @@ class _Stretch(_Piece):
         return bool(chosen) and not _between(chosen)
 
     def _rounded(self, kept: _Solids, r: float, at: float) -> bool:
-        """Whether one of the bodies has a ball of radius r so far along it."""
         p = self.line[0] + at * self.line[1]
         return any(x.solid in kept and x.depth(p) >= r for x in self.own) or any(
             some <= kept and where == at and radius >= r for some, where, radius in self.near
@@ -243,7 +216,6 @@ class _Arm:
 
     @property
     def corners(self) -> Array:
-        """Places of the bends, shape (b, 3)."""
         return np.asarray(self.places[self.leans == 0.0])
 
     @property
@@ -279,7 +251,6 @@ class _Bodies:
         self.all = tuple(self._against)
 
     def against(self, others: Iterable[_Solid]) -> _Solids:
-        """Those that are watched against each of the others."""
         return frozenset(self.all).intersection(*(self._against[other] for other in others))
 
 
@@ -288,11 +259,7 @@ class _NoLineError(Exception):
 
 
 class ClosedLine:
-    """The closed line of two arms.
-
-    Attributes:
-        proven: whether no two of its pieces ever cross.
-    """
+    """The closed line of two arms; ``proven``: whether no two of its pieces ever cross."""
 
     def __init__(self, chain: ClosedChain, arms: Sequence[_Arm], bodies: _Bodies) -> None:
         model = chain.model
@@ -301,27 +268,25 @@ class ClosedLine:
         pin.forwardKinematics(model, zero, np.zeros(chain.n))
         self._placed = {solid: solid.at(zero.oMi[solid.joint]) for solid in bodies.all}
         self._axes = {j: axis for arm in arms for j, axis in zip(arm.joints, arm.axes, strict=True)}
-        self._twist, self._unfolded = np.zeros(chain.n), dict[int, float]()
+        self._twist = np.zeros(chain.n)
         for arm in arms:
             self._twist[[model.idx_qs[j] for j in arm.joints]] = arm.leans
-            for j in arm.bends:
-                i = model.idx_vs[j]
-                self._unfolded[j] = np.pi - max(-chain.lower[i], chain.upper[i])
+        farthest = np.maximum(-chain.lower, chain.upper)
+        bends = [j for arm in arms for j in arm.bends]
+        self._unfolded = {j: float(np.pi - farthest[model.idx_vs[j]]) for j in bends}
         self._pieces: list[_Piece] = [piece for arm in arms for piece in self._between(arm)]
         self._fixed = dict[tuple[str, int], Array]()
         self._below, below = self._across("world", 0, [pin.SE3.Identity()] * 2)
         self._above, above = self._across("object", -1, [arm.X_WO.inverse() for arm in arms])
-        self._apart = [Held(("world", "world"), "fixed", below)]
-        self._apart.append(Held(("object", "object"), "fixed", above))
+        ends = (("world", below), ("object", above))
+        self._apart = [Held((name, name), "fixed", margin) for name, margin in ends]
         self.proven = all(one.margin > 0.0 for one in self.held(fine=False))
 
     def held(self, fine: bool = True) -> list[Held]:
         """Why each two pieces never cross; margins of radii are just enough unless ``fine``."""
-        found = [*self._apart]
-        for one, other in itertools.combinations(self._pieces, 2):
-            if one.fixed != other.fixed:
-                found += self._crossing(one, other, fine)
-        return found
+        pairs = itertools.combinations(self._pieces, 2)
+        moving = ((one, other) for one, other in pairs if one.fixed != other.fixed)
+        return [*self._apart, *(held for pair in moving for held in self._crossing(*pair, fine))]
 
     def number(self, q: Array) -> float:
         """The linking number and a constant."""
@@ -343,7 +308,6 @@ class ClosedLine:
         return np.where(whole & self.proven, turns.round(), 0.0).astype(int)
 
     def _between(self, arm: _Arm) -> Iterator[_Piece]:
-        """Pieces between one bend and the next."""
         for k in range(1, len(arm.bends)):
             start, end = arm.corners[k - 1 : k + 1]
             bends = (arm.bends[k - 1], arm.bends[k])
@@ -373,7 +337,7 @@ class ClosedLine:
         """
         names = self._chain.model.names
         own = tuple(x for x in self._placed.values() if x.solid.joint in joints)
-        spans = _spans(line, own, near, LEAST)
+        spans = _spans(line, own, near, MIN_RADIUS)
         ways = [_chosen(some, 0.0, length) for some in (spans[: len(own)], spans)]
         whole = [way for way in ways if way and not _between(way)]
         chosen = next((way for way in (*whole, *ways) if way), None)
@@ -390,15 +354,15 @@ class ClosedLine:
             bends=bends, line=line, length=length, own=own, near=tuple(near),
         )  # fmt: skip
 
-    def _across(self, fixed: str, part: int, seen: Sequence[pin.SE3]) -> tuple[Array, float]:
+    def _across(self, fixed: str, part: int, frames: Sequence[pin.SE3]) -> tuple[Array, float]:
         """The line between the arms' first (0) or last (-1) bends, and how near it is to itself.
 
         Over the shortest gaps between bodies that are fixed to each other, from one in which the
-        straight line beyond an arm's bend is. ``seen``: from the world to these, of each arm.
+        straight line beyond an arm's bend is. ``frames``: from the world to these, of each arm.
         """
         clear = self._bodies.against(x for piece in self._pieces for x in piece.solids)
         placed, sides = dict[_Solid, _Placed](), list[list[tuple[int, Array, _Stretch]]]()
-        for arm, X in zip(self._arms, seen, strict=True):
+        for arm, X in zip(self._arms, frames, strict=True):
             joint = arm.joints[-1] if part else 0
             here = [solid for solid in self._bodies.all if solid.joint == joint and solid in clear]
             placed |= {solid: solid.at(X * self._placed[solid].X) for solid in here}
@@ -432,8 +396,8 @@ class ClosedLine:
     ) -> tuple[Array, _Stretch] | None:
         """Where the straight line beyond an arm's bend is within a body, and its piece up to it."""
         line = arm.corners[part], arm.up if part else -arm.up
-        low, high = self._placed[solid].span(*line, LEAST)
-        if high <= LEAST:
+        low, high = self._placed[solid].span(*line, MIN_RADIUS)
+        if high <= MIN_RADIUS:
             return None
         length = 0.5 * (max(low, 0.0) + high)
         own = len(arm.parts) - 1 if part else 0
@@ -455,11 +419,12 @@ class ClosedLine:
             one, other = other, one
         kept = self._bodies.against(one.solids)
         beyond = self._beyond(one, other, one.corners)
-        yield Held(names, "bodies", other.radius(kept, LEAST, fine, beyond))
+        yield Held(names, "bodies", other.radius(kept, MIN_RADIUS, fine, beyond))
         for gap in one.gaps:
-            half, kept = 0.5 * gap.length, self._bodies.against(gap.solids)
+            half = 0.5 * float(np.linalg.norm(gap.ends[1] - gap.ends[0]))
+            kept = self._bodies.against(gap.solids)
             beyond = self._beyond(one, other, gap.ends)
-            yield Held(names, "gap", other.radius(kept, half + LEAST, fine, beyond) - half)
+            yield Held(names, "gap", other.radius(kept, half + MIN_RADIUS, fine, beyond) - half)
 
     def _beyond(self, one: _Piece, other: _Piece, corners: Array) -> dict[int, float]:
         """How far a line in the frame of one is from the other's bends that are fixed there."""
@@ -501,7 +466,6 @@ def writhe(corners: Array) -> float:
 
 
 def _solid_angle(a: Array, b: Array, c: Array) -> float:
-    """Of spherical triangles together."""
     volume = _dot(a, np.cross(b, c))
     return float(2.0 * np.arctan2(volume, 1.0 + _dot(a, b) + _dot(b, c) + _dot(c, a)).sum())
 
@@ -532,7 +496,6 @@ def _chosen(spans: Sequence[_Span], low: float, high: float) -> list[_Span]:
 
 
 def _between(chosen: Sequence[_Span]) -> list[tuple[_Solids, float, float]]:
-    """The gaps between one and the next."""
     pairs = itertools.pairwise(chosen)
     return [(one[0] | other[0], one[2], other[1]) for one, other in pairs if one[2] < other[1]]
 
@@ -558,13 +521,13 @@ def _through(
 
 def _nearest(one: _Placed, other: _Placed) -> tuple[float, Array, Array]:
     """Distance of two bodies, and where each is nearest to the other, or deepest in it."""
-    seen = coal.DistanceResult()
+    result = coal.DistanceResult()
     placed = []
     for x in (one, other):
         X = x.X * x.solid.convex.placement
         placed += [x.solid.convex.geometry, coal.Transform3s(X.rotation, X.translation)]
-    d = coal.distance(*placed, coal.DistanceRequest(), seen)
-    return d, np.array(seen.getNearestPoint1()), np.array(seen.getNearestPoint2())
+    d = coal.distance(*placed, coal.DistanceRequest(), result)
+    return d, np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
 
 
 @lru_cache(maxsize=512)

@@ -41,26 +41,16 @@ FASTEST = 1e4
 
 @dataclass(frozen=True)
 class Bounds:
-    """The limits of a motion; infinite where there is none.
+    """The limits of a motion; infinite where there is none."""
 
-    Attributes:
-        speed, acceleration: of joints, shape (n,) [rad/s, rad/s2; m/s, m/s2].
-        torque: of motors, shape (n,), 0 at passive joints [N m, N].
-        twist: of the object's components in world axes, shape (6,) [m/s, rad/s].
-        wrench: largest component of the internal wrench of each hand, shape (6,) [N, N m].
-        safety: by which friction is divided.
-        forces: False where speeds and accelerations alone are looked at.
-        load: share of the object's mass.
-    """
-
-    speed: Array
-    acceleration: Array
-    torque: Array
-    twist: Array
-    wrench: Array
-    safety: float = 1.0
-    forces: bool = True
-    load: float = 1.0
+    speed: Array  # of joints, shape (n,) [rad/s, m/s]
+    acceleration: Array  # of joints, shape (n,) [rad/s2, m/s2]
+    torque: Array  # of motors, shape (n,), 0 at passive joints [N m, N]
+    twist: Array  # of the object's components in world axes, shape (6,) [m/s, rad/s]
+    wrench: Array  # largest component of the internal wrench of each hand, shape (6,) [N, N m]
+    safety: float = 1.0  # by which friction is divided
+    forces: bool = True  # False where speeds and accelerations alone are looked at
+    load: float = 1.0  # share of the object's mass
 
 
 def motion_limits(of: Scenario | ControlProblem) -> tuple[Array, Array, Array]:
@@ -93,30 +83,21 @@ def bounds_of(
     speed, acceleration, twist = motion_limits(problem)
     effort = torque * np.array(chain.model.effortLimit)
     effort[chain.passive] = 0.0
-    box = np.repeat(np.array(wrench, float), 3)
-    return Bounds(speed, acceleration, effort, twist, box, safety)
+    return Bounds(speed, acceleration, effort, twist, np.repeat(np.array(wrench, float), 3), safety)
 
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows at N places.
+    """The rows at N places."""
 
-    Attributes:
-        maker: of what is the same at all of them.
-        s: the places, shape (N,).
-        along: the path there.
-        R: by u, by x and at rest, shape (3, N, r); Rl, shape (N, r, m).
-        rates: of joints and of the object by s, (N, n + 6), which speeds bound.
-    """
+    maker: RowMaker  # of what is the same at all of them
+    s: Array  # the places, shape (N,)
+    along: Along  # the path there
+    R: Array  # by u, by x and at rest, shape (3, N, r)
+    Rl: Array  # by lambda, shape (N, r, m)
+    rates: Array  # of joints and of the object by s, (N, n + 6), which speeds bound
 
-    maker: RowMaker
-    s: Array
-    along: Along
-    R: Array
-    Rl: Array
-    rates: Array
-
-    def felt(self, u: Array, x: Array) -> Array:
+    def values(self, u: Array, x: Array) -> Array:
         """The rows' left sides without lambda, shape (N, r), for u and x of shape (N,)."""
         return np.asarray(self.R[0] * u[:, None] + self.R[1] * x[:, None] + self.R[2])
 
@@ -176,7 +157,7 @@ class RowMaker:
         self.kinds = np.repeat(["acceleration", "torque", "wrench", "contact"], counts)
         self.size = np.concatenate([
             bounds.acceleration[self._quick], bounds.torque[self._limited],
-            bounds.wrench[self.kept % 6], self._cones.most,
+            bounds.wrench[self.kept % 6], self._cones.upper,
         ])  # fmt: skip
         body = chain.held.body()
         mass, inertia = bounds.load * body.mass, bounds.load * body.inertia
@@ -194,39 +175,32 @@ class RowMaker:
     def at(self, s: Array) -> Rows:
         """The rows at places of shape (N,)."""
         along = self.path.at(s, self.loops)
-        a, b, c = self.torques(along)
         J = relative(along.moved.J)[:, self.kept]
         N, m, at, quick = len(s), J.shape[1], self._limited, self._quick
         nothing, free = np.zeros_like(along.q), np.zeros((N, m))
-        cones = self._cones.at(self.loads, along, self.kept)
+        cones, cones_by_wrench = self._cones.at(self.loads, along, self.kept)
         twist = times(along.moved.J[:, 0], along.dq)
-        felt = [
-            np.hstack([by_joint[:, quick], tau[:, at], free, cone])
-            for by_joint, tau, cone in zip(
-                (along.dq, along.ddq, nothing), (a, b, c), cones[:3], strict=True
-            )
-        ]
+        parts = zip((along.dq, along.ddq, nothing), self.torques(along), cones, strict=True)
+        R = [np.hstack([rate[:, quick], tau[:, at], free, cone]) for rate, tau, cone in parts]
         by_wrench = [
             np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at],
-            np.tile(np.eye(m), (N, 1, 1)), cones[3],
+            np.tile(np.eye(m), (N, 1, 1)), cones_by_wrench,
         ]  # fmt: skip
-        return Rows(
-            self, s, along, np.array(felt), np.concatenate(by_wrench, axis=1),
-            np.hstack([along.dq, twist]),
-        )  # fmt: skip
+        Rl, rates = np.concatenate(by_wrench, axis=1), np.hstack([along.dq, twist])
+        return Rows(self, s, along, np.array(R), Rl, rates)
 
-    def torques(self, along: Along) -> tuple[Array, Array, Array]:
-        """a, b and c of the tree's torques, each (N, n)."""
+    def torques(self, along: Along) -> Array:
+        """a, b and c of the tree's torques, shape (3, N, n)."""
         found = np.zeros((3, *along.q.shape))
         if not self.bounds.forces:
-            return found[0], found[1], found[2]
+            return found
         model, data, nothing = self.dynamics.model, self.loops.data, np.zeros(along.q.shape[1])
         for k, (q, dq, ddq) in enumerate(zip(along.q, along.dq, along.ddq, strict=True)):
             found[2, k] = pin.rnea(model, data, q, nothing, nothing)
             found[0, k] = pin.rnea(model, data, q, nothing, dq)
             found[1, k] = pin.rnea(model, data, q, dq, ddq)
         found[:2] -= found[2]
-        return found[0], found[1], found[2]
+        return found
 
     def loads(self, along: Along) -> Array:
         """What moves the object for u, for x and at rest, at its origin, shape (3, N, 6)."""
@@ -247,7 +221,7 @@ class _Cones:
     def __init__(self, chain: ClosedChain, bounds: Bounds) -> None:
         self._each: list[tuple[int, Array]] = []
         names: list[str] = []
-        most: list[Array] = [np.zeros(0)]
+        upper: list[Array] = [np.zeros(0)]
         self._hands = hands(chain)
         for i, hand in enumerate(self._hands):
             if not (hand.contact and bounds.forces):
@@ -258,28 +232,19 @@ class _Cones:
             turn[:3, :3], turn[3:, 3:], turn[3:, :3] = R.T, R.T, -R.T @ pin.skew(p)
             self._each.append((i, found.rows @ turn))
             names += [f"{label.partition('[')[0]} of {hand.arm}" for label in found.labels]
-            most.append(found.upper)
-        self.names, self.most = tuple(names), np.concatenate(most)
+            upper.append(found.upper)
+        self.names, self.upper = tuple(names), np.concatenate(upper)
 
-    def at(
-        self, loads: Callable[[Along], Array], along: Along, kept: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Ru, Rx, Rc, each (N, r), and Rl, (N, r, m)."""
-        N, m = len(along.q), len(kept)
+    def at(self, loads: Callable[[Along], Array], along: Along, kept: Array) -> tuple[Array, Array]:
+        """R, shape (3, N, r), and Rl, shape (N, r, m)."""
+        N, m, count = len(along.q), len(kept), len(self._hands)
         if not self._each:
-            return (*np.zeros((3, N, 0)), np.zeros((N, 0, m)))
-        w = loads(along)
-        R, count = along.moved.R[:, 0], len(self._hands)
-        parts = []
+            return np.zeros((3, N, 0)), np.zeros((N, 0, m))
+        w, R_OW = loads(along), along.moved.R[:, 0].transpose(0, 2, 1)
+        R, Rl = [], []
         for i, rows in self._each:
-            turned = np.concatenate(
-                [rows[:, :3] @ R.transpose(0, 2, 1), rows[:, 3:] @ R.transpose(0, 2, 1)], axis=2
-            )
-            shared = [times(turned, part) / count for part in w]
-            split = np.zeros((6, 6 * (count - 1)))
-            for j in range(1, count):
-                if i in (0, j):
-                    split[:, 6 * j - 6 : 6 * j] = np.eye(6) * (1.0 if i == 0 else -1.0)
-            parts.append((*shared, turned @ split[:, kept]))
-        u, x, c, lam = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
-        return u, x, c, lam
+            turned = np.concatenate([rows[:, :3] @ R_OW, rows[:, 3:] @ R_OW], axis=2)
+            R.append(times(turned, w) / count)
+            signs = 1.0 * (i == 0) - (np.arange(1, count) == i)  # of each lambda in h_i
+            Rl.append(turned @ np.kron(signs, np.eye(6))[:, kept])
+        return np.concatenate(R, axis=2), np.concatenate(Rl, axis=1)

@@ -17,7 +17,7 @@ from coopqp.controller import ControlProblem
 from coopqp.planning.closed_path import lengths
 from coopqp.planning.closed_space import Budget, ClosedSpace, Verification, Verifier
 from coopqp.planning.reach import (
-    MOST,
+    MAX_TRIES,
     PROVEN,
     Goals,
     Progress,
@@ -30,7 +30,7 @@ from coopqp.planning.reach import (
 from coopqp.planning.timing import Clock, timed
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
-from coopqp.signal import TURN_COLUMNS, quaternion_of
+from coopqp.signal import POSE, quaternion_of
 from coopqp.study.explanation.goal import Goal, placed
 from coopqp.study.explanation.words import RunExplanation, size
 from coopqp.task import Task
@@ -59,32 +59,21 @@ MET = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A way round.
+    """A way round."""
 
-    Attributes:
-        found: whether there is a path; without one the arrays have no rows.
-        sentence: in words.
-        joints: names of the n joints.
-        q: the path's points, closed and at most ``CLOSE`` apart, shape (K, n) [rad, m].
-        t, timed: times of a rollout's ticks [s], and where the joints are then, (T,) and (T, n).
-        object: of the object then: place, and quaternion x, y, z, w, shape (T, 7).
-        verification: the second look; None without a path.
-        seconds: wall time of goals, search and second look [s].
-        phase: number of the phase that each tick leads to, shape (T,); empty without phases.
-        proven: whether it is proven that there is no path.
-    """
-
-    found: bool
-    sentence: str
-    joints: tuple[str, ...]
-    q: Array
-    t: Array
-    timed: Array
-    object: Array
-    verification: Verification | None = None
+    success: bool  #: Whether there is a path; without one the arrays have no rows.
+    sentence: str  #: In words.
+    joints: tuple[str, ...]  #: Names of the n joints.
+    q: Array  #: The path's points, closed and at most ``CLOSE`` apart, shape (K, n) [rad, m].
+    t: Array  #: Times of a rollout's ticks, shape (T,) [s].
+    timed: Array  #: Where the joints are then, shape (T, n) [rad, m].
+    object: Array  #: Where the object is then: place, and quaternion x, y, z, w, shape (T, 7).
+    verification: Verification | None = None  #: The second look; None without a path.
+    #: Wall time of goals, search and second look [s].
     seconds: dict[str, float] = field(default_factory=dict)
+    #: Number of the phase that each tick leads to, shape (T,); empty without phases.
     phase: Array = field(default_factory=lambda: np.zeros(0))
-    proven: bool = False
+    proven: bool = False  #: Whether it is proven that there is no path.
 
     @property
     def length(self) -> float:
@@ -94,7 +83,7 @@ class Plan:
     @property
     def columns(self) -> dict[str, Array]:
         """The path tick by tick, as ``way-points: {file: ...}`` names its columns."""
-        names = ("t", *self.joints, "x", "y", "z", *TURN_COLUMNS)
+        names = ("t", *self.joints, *POSE.columns)
         rows = np.column_stack([self.t, self.timed, self.object])
         phases = {PHASE: self.phase} if len(self.phase) else {}
         return dict(zip(names, rows.T, strict=True)) | phases
@@ -143,11 +132,11 @@ def _through(
 
     Where the one after it has none, a phase is planned again, to goals of other random numbers.
     """
-    begun, most = time.perf_counter(), len(scenario.phases)
+    begun, count = time.perf_counter(), len(scenario.phases)
     made: list[Plan] = []
-    chains, again, best = [scenario.chain], [0] * most, list[Plan]()
+    chains, again, best = [scenario.chain], [0] * count, list[Plan]()
     unknown = set(keep) - {task.name for phase in scenario.phases for task in phase.tasks}
-    while len(made) < most:
+    while len(made) < count:
         k, left = len(made), budget.seconds - (time.perf_counter() - begun)
         phase = scenario.phases[k]
         names = [x for x in keep if x in unknown or x in [task.name for task in phase.tasks]]
@@ -155,16 +144,16 @@ def _through(
             planner = Planner(scenario.problem(phase, chains[k]), phase.duration, names)
             now = replace(budget, seconds=max(left, 1e-3), seed=budget.seed + again[k])
             found = planner.plan(now, progress=progress)
-        if found.found:
+        if found.success:
             made.append(found)
-            if len(made) < most:
+            if len(made) < count:
                 released = scenario.phases[k + 1].released
                 chains = [*chains[: k + 1], chains[k].handed_over(found.q[-1], released)]
             continue
         best = max([*made, found], best, key=len)
         if not k or left <= 0.0 or again[k - 1] >= AGAIN:
             return best
-        again[k - 1 :] = [again[k - 1] + 1] + [0] * (most - k)
+        again[k - 1 :] = [again[k - 1] + 1] + [0] * (count - k)
         made.pop()
     return made
 
@@ -174,12 +163,13 @@ def _joined(scenario: Scenario, parts: Sequence[Plan]) -> Plan:
     last, names = parts[-1], [phase.name for phase in scenario.phases]
     keys = dict.fromkeys(key for part in parts for key in part.seconds)
     took = {key: sum(part.seconds.get(key, 0.0) for part in parts) for key in keys}
-    said = [f"phase '{name}': {part.sentence}" for name, part in zip(names, parts, strict=False)]
-    if not last.found:
-        return replace(last, sentence=said[-1], seconds=took)
+    named = zip(names, parts, strict=False)
+    sentences = [f"phase '{name}': {part.sentence}" for name, part in named]
+    if not last.success:
+        return replace(last, sentence=sentences[-1], seconds=took)
     ends = np.cumsum([0.0, *(part.t[-1] + scenario.dt for part in parts)])
     return replace(
-        last, sentence="\n".join(said), seconds=took,
+        last, sentence="\n".join(sentences), seconds=took,
         q=np.concatenate([part.q for part in parts]),
         t=np.concatenate([part.t + end for part, end in zip(parts, ends, strict=False)]),
         timed=np.concatenate([part.timed for part in parts]),
@@ -206,11 +196,11 @@ def way_round(
     except CoopqpError as error:
         words = f"; {command} cannot help: {error}" if found.elsewhere else ""
         return replace(found, sentence=found.sentence + words)
-    if not (way.found or found.elsewhere):
+    if not (way.success or found.elsewhere):
         return found
     took = f"{sum(way.seconds.values()):.2g} s, {way.length:.3g} rad"
-    words = f"{command}: {f'a way round was found in {took}' if way.found else way.sentence}"
-    return replace(found, sentence=f"{found.sentence}; {words}", way_round=way.found)
+    words = f"{command}: {f'a way round was found in {took}' if way.success else way.sentence}"
+    return replace(found, sentence=f"{found.sentence}; {words}", way_round=way.success)
 
 
 class Planner:
@@ -246,7 +236,7 @@ class Planner:
             clearance = space.room.at(q)
             row = space.room.rows[int(clearance.argmin())]
             raise InvalidValueError(
-                f"start: {row.words} is {-1e3 * clearance.min():.2f} mm less than its limit keeps; "
+                f"start: {row.label} is {-1e3 * clearance.min():.2f} mm less than its limit keeps; "
                 "move the start, or let the limit keep less"
             ).at("start")
 
@@ -256,7 +246,7 @@ class Planner:
         """As :func:`plan`."""
         begun = time.perf_counter()
         found = self.path(budget, goals, progress)
-        if not found.found:
+        if not found.success:
             return found
         left = max(budget.seconds - (time.perf_counter() - begun), TIMING)
         try:
@@ -274,7 +264,7 @@ class Planner:
         took["goals"] = time.perf_counter() - begun
         if not len(ends):
             return self._nothing(why, took)
-        start, seen = self.chain.q_start[None].copy(), None
+        start, look = self.chain.q_start[None].copy(), None
         self.space.project(start)
 
         def wait() -> None:
@@ -286,21 +276,22 @@ class Planner:
             if (left := budget.seconds - (at - begun)) <= 0.0:
                 break
             near = ends if goals is not None or turn % 2 else ends[:NEAREST]
-            most = budget.most << min(turn // 2, 16)  # some trees grow long, others meet early
-            now = replace(budget, seconds=left, seed=budget.seed + turn, most=most)
+            # Some trees grow long, others meet early.
+            count = budget.max_projections << min(turn // 2, 16)
+            now = replace(budget, seconds=left, seed=budget.seed + turn, max_projections=count)
             q = self._close(self.space.way(start, near, now, wait))
             took["search"] = took.get("search", 0.0) + time.perf_counter() - at
             if not len(q):
                 ends = self._more(ends)
                 continue
             at = time.perf_counter()
-            seen = self.verifier.look(q, VERIFIED)
+            look = self.verifier.look(q, VERIFIED)
             took["verify"] = took.get("verify", 0.0) + time.perf_counter() - at
-            if seen.good:
-                return self._found(q, seen, len(near), took)
-            # What the finer look has seen, the next search looks for as finely.
+            if look.good:
+                return self._found(q, look, len(near), took)
+            # What the finer look has found, the next search looks for as finely.
             budget = replace(budget, fine=0.5 * budget.fine)
-        more = f"; the last path failed the second look: {seen.words}" if seen else ""
+        more = f"; the last path failed the second look: {look.message}" if look else ""
         tried = f"not found in {time.perf_counter() - begun:.1f} s"
         to = f"no path to any of {counted(len(ends), 'goal configuration')}"
         return self._nothing(f"{tried}: {to}; that proves nothing, more time may do{more}", took)
@@ -317,17 +308,17 @@ class Planner:
             return np.zeros((0, n)), proof
         goals, why = Goals(self.problem, self._t, budget.seed), ""
         self._looked = goals
-        while len(goals.found) < GOALS and goals.tried < MOST:
+        while len(goals.solutions) < GOALS and goals.tried < MAX_TRIES:
             goals.look()
             if (gone := time.perf_counter() - begun) > 0.5 * budget.seconds:
                 why = f"not found in {gone:.1f} s: no goal configuration from {goals.tried} starts"
                 why += "; that proves nothing, more time may do"
                 break
-            if goals.found and goals.tried >= MOST // 4:
+            if goals.solutions and goals.tried >= MAX_TRIES // 4:
                 break
-        if not goals.found and not goals.cut_off:
+        if not goals.solutions and not goals.cut_off:
             why = why or explained(goals)
-        if goals.found:
+        if goals.solutions:
             return self._ordered(goals), "no goal configuration keeps the tasks that are to be kept"
         if goals.cut_off:
             them = f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
@@ -344,7 +335,7 @@ class Planner:
 
     def _ordered(self, goals: Goals) -> Array:
         """Those that keep what is to be kept, the nearest that are off the joints' limits first."""
-        found = np.array(goals.found)
+        found = np.array(goals.solutions)
         found = found[self._off(found) < MET]  # which keep what is to be kept
         away = np.linalg.norm(found - self.chain.q_start, axis=1)
         room = self.space.room
@@ -372,8 +363,7 @@ class Planner:
     def _close(self, q: Array) -> Array:
         """The path with points so near to each other that the loops stay closed between them."""
         while len(q) > 1:
-            step = np.linalg.norm(np.diff(q, axis=0), axis=1)
-            (far,) = np.nonzero(step > CLOSE)
+            (far,) = np.nonzero(np.linalg.norm(np.diff(q, axis=0), axis=1) > CLOSE)
             if not len(far):
                 break
             middle = 0.5 * (q[far] + q[far + 1])
@@ -382,13 +372,13 @@ class Planner:
             q = np.insert(q, far + 1, middle, axis=0)
         return q
 
-    def _found(self, q: Array, seen: Verification, goals: int, took: dict[str, float]) -> Plan:
+    def _found(self, q: Array, look: Verification, goals: int, took: dict[str, float]) -> Plan:
         sentence = (
             f"found in {sum(took.values()):.2g} s: {lengths(q)[-1]:.3g} rad to one of "
-            f"{counted(goals, 'goal configuration')}; {seen.points} points verified, loops closed "
-            f"within {1e3 * seen.open:.1g} mm"
+            f"{counted(goals, 'goal configuration')}; {look.points} points verified, loops closed "
+            f"within {1e3 * look.open:.1g} mm"
         )
-        return replace(self._nothing(sentence, took), found=True, q=q, verification=seen)
+        return replace(self._nothing(sentence, took), success=True, q=q, verification=look)
 
     def _timed(self, found: Plan, seconds: float) -> Plan:
         clock = Clock(seconds)
@@ -408,7 +398,7 @@ class Planner:
     def _nothing(self, why: str, took: dict[str, float]) -> Plan:
         n = self.chain.n
         return Plan(
-            found=False, sentence=why, joints=self.chain.joint_names, q=np.zeros((0, n)),
+            success=False, sentence=why, joints=self.chain.joint_names, q=np.zeros((0, n)),
             t=np.zeros(0), timed=np.zeros((0, n)), object=np.zeros((0, 7)), seconds=took,
             proven=why.startswith(PROVEN),
         )  # fmt: skip

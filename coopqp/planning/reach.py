@@ -47,9 +47,9 @@ from coopqp.study.explanation.goal import Goal, Search, placed
 from coopqp.task import Programs
 
 #: Random starts of one look, and of all looks.
-BATCH, MOST = 64, 4096
+BATCH, MAX_TRIES = 64, 4096
 #: Free configurations after which the search ends, once so many starts were tried.
-ENOUGH, LEAST = 64, 512
+ENOUGH, MIN_TRIES = 64, 512
 #: The sum of lengths proves only what is farther off than rounding [m].
 ROUNDING = 1e-6
 
@@ -72,44 +72,30 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Configuration:
-    """A closed configuration that meets the tasks.
+    """A closed configuration that meets the tasks."""
 
-    Attributes:
-        q: shape (n,) [rad, m].
-        joint_margin: least distance of a joint from its limit [rad, m]; infinite without limits.
-        clearance: least distance left by limits in space [m]; infinite where there are none.
-        bends: which way each arm bends, such as ``left LElbowRoll +``.
-        cut_off: whether it is proven that no motion leads there from the start.
-    """
-
-    q: Array
-    joint_margin: float
-    clearance: float
-    bends: str
-    cut_off: bool
+    q: Array  #: Shape (n,) [rad, m].
+    joint_margin: float  #: Least distance of a joint from its limit [rad, m]; or infinite.
+    clearance: float  #: Least distance left by limits in space [m]; infinite where there are none.
+    bends: str  #: Which way each arm bends, such as ``left LElbowRoll +``.
+    cut_off: bool  #: Whether it is proven that no motion leads there from the start.
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Whether the tasks' goals can be met.
+    """Whether the tasks' goals can be met."""
 
-    Attributes:
-        found: configurations that meet them, of every group that with the largest margin first.
-        proven: whether a bound proves that there are none.
-        sentence: in words.
-        tried: random starts.
-    """
-
-    found: tuple[Configuration, ...]
-    proven: bool
-    sentence: str
-    tried: int = 0
+    #: Configurations that meet them, of every group that with the largest margin first.
+    solutions: tuple[Configuration, ...]
+    proven: bool  #: Whether a bound proves that there are none.
+    sentence: str  #: In words.
+    tried: int = 0  #: Random starts.
 
     @property
     def groups(self) -> dict[str, list[Configuration]]:
         """The configurations by which way the arms bend."""
         groups: dict[str, list[Configuration]] = {}
-        for configuration in self.found:
+        for configuration in self.solutions:
             groups.setdefault(configuration.bends, []).append(configuration)
         return groups
 
@@ -134,12 +120,13 @@ def reach(
     if proof := too_far(problem, t):
         return Reach((), True, proof)
     goals = Goals(problem, t, seed, threads or os.cpu_count() or 1)
-    for _ in range(MOST // BATCH):
+    for _ in range(MAX_TRIES // BATCH):
         goals.look()
-        progress(max(goals.tried / MOST, min(len(goals.found) / ENOUGH, goals.tried / LEAST)))
-        if len(goals.found) >= ENOUGH and goals.tried >= LEAST:
+        share = min(len(goals.solutions) / ENOUGH, goals.tried / MIN_TRIES)
+        progress(max(goals.tried / MAX_TRIES, share))
+        if len(goals.solutions) >= ENOUGH and goals.tried >= MIN_TRIES:
             break
-    why = "" if goals.found or goals.cut_off else explained(goals)
+    why = "" if goals.solutions or goals.cut_off else explained(goals)
     progress(1.0)
     if why:
         return Reach((), False, why, goals.tried)
@@ -148,7 +135,7 @@ def reach(
     sentence = f"reachable: {counted(len(found), 'configuration')} found"
     sentence += f", which bend the arms in {counted(groups, 'way')}"
     if goals.cut_off:
-        of_them = f"{len(goals.cut_off)} of them" if goals.found else "all of them"
+        of_them = f"{len(goals.cut_off)} of them" if goals.solutions else "all of them"
         sentence += f"; {of_them} no motion leads to: {goals.why}"
     return Reach(found, False, sentence, goals.tried)
 
@@ -161,25 +148,17 @@ def need_a_place(problem: ControlProblem) -> None:
 
 
 class Goals:
-    """Closed, free configurations at which a problem's tasks are met at t [s], as they are found.
-
-    Attributes:
-        space: of the tasks' manifold.
-        found: configurations, shape (n,) each.
-        cut_off: those to which no motion leads from the start.
-        lost: at others nothing that hands may press with holds the object; the most they carry.
-        tried: random starts so far.
-    """
+    """Closed, free configurations that meet a problem's tasks at t [s], as they are found."""
 
     def __init__(self, problem: ControlProblem, t: float, seed: int, threads: int = 1) -> None:
         self.goal = Goal(problem.chain, placed(problem.tasks, problem.chain), t)
         self.space = ClosedSpace(problem, self.goal.tasks, t, threads)
-        self.found: list[Array] = []
-        self.cut_off: list[Array] = []
+        self.solutions: list[Array] = []  # to which a motion may lead, shape (n,) each
+        self.cut_off: list[Array] = []  # to which none leads from the start
         self._why: list[str] = []
-        self.lost: list[Bound] = []
+        self.lost: list[Bound] = []  # of others, where hands that press carry less than the object
         self._presses = any(hand.contact for hand in hands(problem.chain))
-        self.tried = 0
+        self.tried = 0  # random starts
         self._rng = seeded(seed)
 
     def look(self) -> None:
@@ -198,7 +177,7 @@ class Goals:
         q = q[self.space.is_free(q)]
         for row, why in zip(q, no_way(self.space, q), strict=True):
             if not self.goal.missed(row) and self._holds(row):
-                (self.cut_off if why else self.found).append(row.copy())
+                (self.cut_off if why else self.solutions).append(row.copy())
                 self._why += [why] * bool(why)
 
     @property
@@ -210,24 +189,24 @@ class Goals:
         """Whether motors and friction, with the laws' safety, hold the object where hands press."""
         if not self._presses:
             return True
-        most = StaticHold(self.space.chain, q, safety=SAFETY).load()
-        if most.value < 1.0:
-            self.lost.append(most)
-        return most.value >= 1.0
+        load = StaticHold(self.space.chain, q, safety=SAFETY).load()
+        if load.value < 1.0:
+            self.lost.append(load)
+        return load.value >= 1.0
 
 
 def explained(goals: Goals) -> str:
     """Nothing was found by Newton steps: why, by the searches of explain, which also descend.
 
-    Empty where these find something, which is among ``goals.found`` or ``cut_off`` then.
+    Empty where these find something, which is among ``goals.solutions`` or ``cut_off`` then.
     """
     if goals.lost:
-        most = max(goals.lost, key=lambda bound: bound.value)
+        load = max(goals.lost, key=lambda bound: bound.value)
         there = counted(len(goals.lost), "configuration")
         return (
             f"not found from {goals.tried} starts: inside the other limits {there} found, but "
-            f"hands hold at most {100.0 * most.value:.0f} % of the object's weight there, as "
-            f"{most.holds}"
+            f"hands hold at most {100.0 * load.value:.0f} % of the object's weight there, as "
+            f"{load.holds}"
         )
     goal, space = goals.goal, goals.space
     q = space.chain.q_start
@@ -236,7 +215,7 @@ def explained(goals: Goals) -> str:
     place = found.elsewhere if isinstance(found, BlockedByLimits) else getattr(found, "place", None)
     if place:
         goals.take(place.q[None].copy())
-    if goals.found or goals.cut_off:
+    if goals.solutions or goals.cut_off:
         return ""
     tried = f"not found from {goals.tried} starts"
     if isinstance(found, NotBlocked):
@@ -251,13 +230,13 @@ def explained(goals: Goals) -> str:
 
 def described(goals: Goals) -> tuple[Configuration, ...]:
     """Configurations with their margins and bends, groups together, the largest margins first."""
-    space, found = goals.space, [*goals.found, *goals.cut_off]
+    space, found = goals.space, [*goals.solutions, *goals.cut_off]
     bends = _bends(space.chain, found)
     all_of_them = []
     for i, (q, bend) in enumerate(zip(found, bends, strict=True)):
         joints = float(np.minimum(q - space.room.lower, space.room.upper - q).min(initial=np.inf))
         clearance = float(space.room.at(q).min(initial=np.inf))
-        all_of_them.append(Configuration(q, joints, clearance, bend, i >= len(goals.found)))
+        all_of_them.append(Configuration(q, joints, clearance, bend, i >= len(goals.solutions)))
     best: dict[str, float] = {}
     for one in all_of_them:
         best[one.bends] = max(best.get(one.bends, -np.inf), one.joint_margin)
@@ -291,8 +270,7 @@ def _bends(chain: ClosedChain, found: Sequence[Array]) -> list[str]:
 def too_far(problem: ControlProblem, t: float) -> str:
     """The proof that a point's goal is beyond an arm's length; empty where there is none."""
     chain = problem.chain
-    start = State(chain)
-    programs, at = Programs(start), State(chain, t=t)
+    programs, at = Programs(State(chain)), State(chain, t=t)
     for task in placed(problem.tasks, chain):
         for primitive in programs.of(task) or ():
             if primitive.kind is not Kind.POINT or len(primitive.rows) < 3:

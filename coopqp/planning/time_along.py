@@ -25,13 +25,19 @@ from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
 from coopqp.closed_loop.hands import hands, points
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.planning.closed_path import STILL, ClosedPath, closed_path, relative, still_path
+from coopqp.planning.closed_path import (
+    STILL,
+    ClosedPath,
+    closed_path,
+    given_path,
+    relative,
+    still_path,
+)
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
-from coopqp.planning.given_path import given_path
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
-from coopqp.signal import TURN_COLUMNS, quaternion_of
+from coopqp.signal import POSE, quaternion_of
 
 #: Largest component of an internal wrench; 20 N buy two thirds and more of what any buys.
 WRENCH = (40.0, 4.0)  # [N, N m]
@@ -40,7 +46,7 @@ PRESSING = (200.0, 20.0)  # [N, N m]
 #: Intervals of the grid.
 POINTS = 200
 #: Fewest that rows between them can be told from, and most that memory has room for.
-FEWEST, MOST = 8, 20_000
+MIN_POINTS, MAX_POINTS = 8, 20_000
 #: A limit is active from this share of it on; speeds, whose square counts, somewhat earlier.
 ACTIVE, ACTIVE_SPEED = 0.99, 0.98
 #: Passes that divide the limits by what was exceeded, until that is less than TOLERATED.
@@ -63,30 +69,21 @@ NOTHING, KINDS = "nothing", ("speed", "acceleration", "force")
 
 
 class Moment(NamedTuple):
-    """One instant of a timed path.
+    """One instant of a timed path; wrenches are at the object's origin, world axes."""
 
-    Attributes:
-        s: where on the path, and q, v, a: shape (n,) [rad, rad/s, rad/s2; m].
-        p_WO, R_WO: pose of the object.
-        tau: of the motors, 0 at passive joints, shape (n,) [N m, N].
-        load: wrench that moves the object, shape (6,), and internal: what of each hand's wrench
-            cancels, shape (A, 6), both at the object's origin, world axes [N, N m].
-    """
-
-    s: float
-    q: Array
-    v: Array
-    a: Array
+    s: float  # where on the path
+    q: Array  # shape (n,) [rad, m]
+    v: Array  # shape (n,) [rad/s, m/s]
+    a: Array  # shape (n,) [rad/s2, m/s2]
     p_WO: Array
     R_WO: Array
-    tau: Array
-    load: Array
-    internal: Array
+    tau: Array  # of the motors, 0 at passive joints, shape (n,) [N m, N]
+    load: Array  # wrench that moves the object, shape (6,) [N, N m]
+    internal: Array  # what of each hand's wrench cancels, shape (A, 6) [N, N m]
 
     def section(self, chain: ClosedChain) -> Array:
         """Squeeze, shear, twist and bend between two hands that share the load alike, (6,)."""
-        pair = hands(chain)
-        at = points(pair, self.p_WO, self.R_WO)
+        at = points(hands(chain), self.p_WO, self.R_WO)
         at_hands = [
             moved(0.5 * self.load + part, self.p_WO, place)
             for part, place in zip(self.internal, at, strict=True)
@@ -96,27 +93,17 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class TimedPath:
-    """A path and when to be where on it.
+    """A path and when to be where on it."""
 
-    Attributes:
-        maker: of the path's rows.
-        profile: when to be where on it.
-        active: by interval, the limit that is active, such as "torque of elbow" or "nothing".
-        exceeded: largest share of a limit between the grid's places.
-        hold: largest share of a motor, a contact or the wrench that holding still somewhere takes.
-        notes: sentences on places that are passed slowly.
-        speed: along the path at its beginning and its end, |v| [rad/s].
-        rise: time over which accelerations change [s].
-    """
-
-    maker: RowMaker
-    profile: Profile
+    maker: RowMaker  #: Of the path's rows.
+    profile: Profile  #: When to be where on it.
+    #: By interval, the limit that is active, such as "torque of elbow" or "nothing".
     active: tuple[str, ...]
-    exceeded: float
-    hold: float
-    notes: tuple[str, ...]
-    speed: tuple[float, float] = (0.0, 0.0)
-    rise: float = 0.0
+    exceeded: float  #: Largest share of a limit between the grid's places.
+    hold: float  #: Largest share of a motor, contact or the wrench that holding still takes.
+    notes: tuple[str, ...]  #: Sentences on places that are passed slowly.
+    speed: tuple[float, float] = (0.0, 0.0)  #: Along the path at its two ends, |v| [rad/s].
+    rise: float = 0.0  #: Time over which accelerations change [s].
 
     @property
     def path(self) -> ClosedPath:
@@ -197,21 +184,16 @@ class TimedPath:
         joints = self.path.chain.joint_names
         arms = [arm.name for arm in self.path.chain.arms[: self.maker.arms] if self.maker.arms > 1]
         wrench = [f"internal[{arm}].{part}" for arm in arms for part in _WRENCH]
-        pose = [[*m.p_WO, *quaternion_of(m.R_WO)] for m in moments]
-        blocks = [
-            (("t",), t[:, None]),
-            (joints, np.array([m.q for m in moments])),
-            (("x", "y", "z", *TURN_COLUMNS), np.array(pose)),
-            ([f"v[{name}]" for name in joints], np.array([m.v for m in moments])),
-            ([f"tau[{name}]" for name in joints], np.array([m.tau for m in moments])),
-            (wrench, np.array([m.internal.ravel()[: len(wrench)] for m in moments])),
+        names = ["t", *joints, *POSE.columns, *(f"v[{name}]" for name in joints)]
+        names += [*(f"tau[{name}]" for name in joints), *wrench]
+        rows = [
+            np.hstack([now, m.q, m.p_WO, quaternion_of(m.R_WO), m.v, m.tau, *m.internal])
+            for now, m in zip(t, moments, strict=True)
         ]
+        found = dict(zip(names, np.array(rows).T, strict=False))  # one arm has no internal wrench
         if self.maker.arms == 2:
             between = np.array([m.section(self.path.chain) for m in moments])
-            blocks.append((COMPONENTS, between))
-        found: dict[str, Array] = {}
-        for names, values in blocks:
-            found |= dict(zip(names, values.T, strict=True))
+            found |= dict(zip(COMPONENTS, between.T, strict=True))
         return found
 
     def coarse(self, dt: float) -> str:
@@ -318,9 +300,9 @@ def _still(maker: RowMaker) -> TimedPath:
 
 def fastest(
     maker: RowMaker, points: int = POINTS, speed: tuple[float, float] = (0.0, 0.0),
-    most: Array | None = None,
+    max_x: Array | None = None,
 ) -> TimedPath:  # fmt: skip
-    """The fastest motion along a closed path by its rows, with sdot^2 <= most at the places.
+    """The fastest motion along a closed path by its rows, with sdot^2 <= max_x at the places.
 
     Else as :func:`time_along`.
     """
@@ -333,8 +315,8 @@ def fastest(
     fine = maker.at((places[:-1, None] + between).ravel())
     share = Share(fine)
     limits = {kind: np.ones(points + 1) for kind in KINDS}
-    if most is not None:
-        limits["speed"] = np.minimum(1.0, np.sqrt(most / rows.x_max))
+    if max_x is not None:
+        limits["speed"] = np.minimum(1.0, np.sqrt(max_x / rows.x_max))
     for _ in range(1 + REPEATS):
         profile = _profile(rows, limits, ends.tolist(), speed)
         uses = _uses(fine, share, profile)
@@ -345,7 +327,7 @@ def fastest(
             limits[kind] /= np.maximum(np.append(over, 1.0), np.append(1.0, over))
         limits["force"] = np.maximum(limits["force"], np.minimum(STANDS * held, 1.0))
     else:
-        if uses.largest > COARSE and most is None and 2 * points <= MOST:
+        if uses.largest > COARSE and max_x is None and 2 * points <= MAX_POINTS:
             return fastest(maker, 2 * points, speed)
     active = tuple(_active(fine, share, uses))
     hold, notes = float(held.max()), tuple(_slow(rows))
@@ -356,35 +338,33 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
     """The motion with s(t) averaged over a time, and slowed down until it keeps all limits.
 
     Accelerations then change over the time ``rise`` [s], and a note says what that costs.
-
-    Raises:
-        InvalidValueError: the motion is not from rest to rest, or no pace keeps the limits.
+    InvalidValueError: the motion is not from rest to rest, or no pace keeps the limits.
     """
     if not rise:
         return found
     if any(found.speed):
         raise InvalidValueError(f"rise: found {rise:g} s, needs a speed of 0 at both ends")
     if rise < found.duration / len(found.profile.u):
-        least = found.duration / len(found.profile.u)
-        words = f"0, or at least {least:.3g} s, the time of an interval of the grid"
+        shortest = found.duration / len(found.profile.u)
+        words = f"0, or at least {shortest:.3g} s, the time of an interval of the grid"
         raise InvalidValueError(f"rise: found {rise:g} s, needs {words}")
-    path, maker, x, hold = found.path, found.maker, found.profile.x, found.profile.most.copy()
+    path, maker, x, hold = found.path, found.maker, found.profile.x, found.profile.max_x.copy()
     for k in np.flatnonzero((x[1:-1] <= x[:-2]) & (x[1:-1] <= x[2:])) + 1:
         near = np.abs(found.profile.t - found.profile.t[k]) <= 0.5 * rise
         hold[near] = np.minimum(hold[near], x[k])  # where it slows down, the mean would not
-    duration, found = found.duration, fastest(maker, len(x) - 1, most=hold)
+    duration, found = found.duration, fastest(maker, len(x) - 1, max_x=hold)
     count = int(np.ceil(found.duration / rise)) + 1
-    t = rise / RISE_STEPS * np.arange(min(RISE_STEPS * count, MOST) + 1)
+    t = rise / RISE_STEPS * np.arange(min(RISE_STEPS * count, MAX_POINTS) + 1)
     t *= (found.duration + rise) / t[-1]
     s, before = (np.array([found.where(float(now))[0] for now in t - gone]) for gone in (0.0, rise))
     x = ((s - before) / rise) ** 2
     s = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (np.sqrt(x[1:]) + np.sqrt(x[:-1])))])
     s *= path.length / s[-1]
-    most = np.interp(s, found.profile.s, found.profile.most)
+    max_x = np.interp(s, found.profile.s, found.profile.max_x)
     fine = maker.at(np.repeat(s, 2)[1:-1])
     share, wrench = Share(fine), np.zeros((len(s) - 1, 2, fine.Rl.shape[2]))
     for _ in range(SLOWER):
-        profile = Profile(s, x, np.diff(x) / (2.0 * np.diff(s)), most, wrench)
+        profile = Profile(s, x, np.diff(x) / (2.0 * np.diff(s)), max_x, wrench)
         uses = _uses(fine, share, profile)
         if uses.largest < TOLERATED:
             break
@@ -442,7 +422,7 @@ def _raised(maker: RowMaker, name: str) -> Bounds:
 
 
 def _check(**given: Any) -> None:
-    for name, (shape, low, high, needs) in _ASKED.items():
+    for name, (shape, low, high, needs) in _OPTIONS.items():
         found = array(name, given[name])
         fits = found.shape == shape and bool(((low <= found) & (found <= high)).all())
         if not fits or (name == "points" and found % 1.0):
@@ -450,8 +430,8 @@ def _check(**given: Any) -> None:
 
 
 #: Shapes of options, their ends, and what they need in words.
-_ASKED: dict[str, tuple[tuple[int, ...], float, float, str]] = {
-    "points": ((), FEWEST, MOST, f"a whole number from {FEWEST} to {MOST}"),
+_OPTIONS: dict[str, tuple[tuple[int, ...], float, float, str]] = {
+    "points": ((), MIN_POINTS, MAX_POINTS, f"a whole number from {MIN_POINTS} to {MAX_POINTS}"),
     "torque": ((), 1e-9, 1.0, "a share in (0, 1]"),
     "safety": ((), 1.0, 1e3, "a number from 1 to 1000"),
     "wrench": ((2,), 0.0, 1e6, "two numbers from 0 to 1e6"),
@@ -488,10 +468,10 @@ def _profile(
     try:
         return Passes(rows, of, limits["speed"]).profile(*ends)
     except Stuck as stuck:
-        if stuck.place in (0, len(rows.s) - 1) and np.isfinite(stuck.most):
+        if stuck.place in (0, len(rows.s) - 1) and np.isfinite(stuck.upper):
             end = "beginning" if stuck.place == 0 else "end"
             pace = np.linalg.norm(rows.along.dq[stuck.place])
-            low, high = (pace * np.sqrt(max(x, 0.0)) for x in (stuck.least, stuck.most))
+            low, high = (pace * np.sqrt(max(x, 0.0)) for x in (stuck.lower, stuck.upper))
             found = speed[0 if stuck.place == 0 else 1]
             raise InvalidValueError(
                 f"speed: found {found:g} rad/s at the {end}, needs {low:.4g} to {high:.4g}: from "
@@ -532,7 +512,7 @@ def _uses(fine: Rows, share: Share, profile: Profile) -> _Uses:
     x = np.maximum(x, 0.0).ravel()
     speed = np.abs(fine.rates) * np.sqrt(x)[:, None] / made.speeds
     quick = made.kinds == "acceleration"
-    a = np.abs(fine.felt(u, x)[:, quick]) / made.size[quick]
+    a = np.abs(fine.values(u, x)[:, quick]) / made.size[quick]
     ends = np.stack([1.0 - part, part], axis=1)
     force = share.with_wrench((ends @ profile.wrench).reshape(len(u), -1), u, x)
     for i in np.flatnonzero(force > TOLERATED).tolist():
@@ -560,22 +540,20 @@ def _active(fine: Rows, share: Share, uses: _Uses) -> Iterator[str]:
         yield max(best)[1]
 
 
-def _slow(rows: Rows) -> list[str]:
+def _slow(rows: Rows) -> Iterator[str]:
     """Sentences on places where the path turns back or the loops are singular."""
-    path, found = rows.maker.path, []
+    path, J = rows.maker.path, rows.along.moved.J
     pace = np.linalg.norm(rows.along.dq, axis=1)
-    if (k := int(pace.argmin())) is not None and pace[k] < STILL * float(np.median(pace)):
-        place = path.place(float(rows.s[k]))
-        found.append(f"At {place}, the path stands still or turns back; it is passed slowly.")
-    J = rows.along.moved.J
+    where = path.place(float(rows.s[pace.argmin()]))
+    if pace.min() < STILL * float(np.median(pace)):
+        yield f"At {where}, the path stands still or turns back; it is passed slowly."
     if J.shape[1] > 1:
         values = np.linalg.svd(relative(J), compute_uv=False)
         rank = min(path.chain.loops.rank, values.shape[1])
         well = values[:, rank - 1] / values[:, 0]
-        if well[k := int(well.argmin())] < SINGULAR:
-            place = path.place(float(rows.s[k]))
-            found.append(f"At {place}, the arms are singular; it is passed slowly.")
-    return found
+        if well.min() < SINGULAR:
+            where = path.place(float(rows.s[well.argmin()]))
+            yield f"At {where}, the arms are singular; it is passed slowly."
 
 
 def _wrench(rows: Rows, u: float, x: float) -> Array:
@@ -583,21 +561,21 @@ def _wrench(rows: Rows, u: float, x: float) -> Array:
     m, made = rows.Rl.shape[2], rows.maker
     if not m:
         return np.zeros(0)
-    felt = rows.felt(np.array([u]), np.array([x]))[0]
+    values = rows.values(np.array([u]), np.array([x]))[0]
     use, _ = Share(rows).of(0, u, x)
     beyond = max(0.0, use - 1.0 if np.isfinite(use) else 0.0)
     motors = np.flatnonzero((made.kinds == "torque") & (made.size > 0.0))
     bound = np.flatnonzero(made.kinds != "acceleration")
     W = FORCE * rows.Rl[0, motors] / made.size[motors, None]
     P = W.T @ W + SLIGHT * np.eye(m)
-    q = W.T @ (felt[motors] / made.size[motors])
+    q = W.T @ (values[motors] / made.size[motors])
     unit = np.maximum(made.unit[bound], 1e-3)
     A = np.ascontiguousarray(FORCE * rows.Rl[0, bound] / unit[:, None])
     free = np.full(m, np.inf)
     for looser in LOOSER:
         size = made.size[bound] + (beyond + looser) * made.unit[bound]
-        upper = np.concatenate([free, (size - felt[bound]) / unit])
-        low = np.where(made.two_sided[bound], (-size - felt[bound]) / unit, -np.inf)
+        upper = np.concatenate([free, (size - values[bound]) / unit])
+        low = np.where(made.two_sided[bound], (-size - values[bound]) / unit, -np.inf)
         found = program(P, q, A, upper, np.concatenate([-free, low]))
         if found is not None:
             return np.asarray(FORCE * found[0], float)

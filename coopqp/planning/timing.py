@@ -18,11 +18,18 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.profile import FASTEST, Profile
-from coopqp.planning.closed_path import ClosedPath, Loops, closed_path, lengths, on_lines
-from coopqp.planning.given_path import LAW, SLOW, calm_run
+from coopqp.planning.closed_path import (
+    LAW,
+    SLOW,
+    Loops,
+    calm_run,
+    closed_path,
+    lengths,
+    on_lines,
+)
 from coopqp.planning.path_constraints import RowMaker, motion_bounds, motion_limits
 from coopqp.planning.time_along import TimedPath, fastest
-from coopqp.scenario.scenario import MOST_KEPT, Scenario
+from coopqp.scenario.scenario import MAX_KEPT, Scenario
 from coopqp.task import Task
 
 #: Where no limit bounds accelerations, the highest speed is there after so long [s].
@@ -39,6 +46,9 @@ ROUNDED, SLOWER = (0.05, 0.02, 0.01, 0.005), 3
 #: to their middle, is then about as far as it is in the fastest.
 LOOKS, CALM = 3, 1.25
 
+Allowed = Callable[[Array], Array | None]
+"""Rows near those of q (N, n) that are allowed; None where one has none."""
+
 
 class Clock:
     """Says whether there is time left, of so many seconds from now on."""
@@ -48,7 +58,7 @@ class Clock:
         self.lasts = 0.0  # the way, as far as is known [s]
 
     def parts(self, rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
-        """The rows in parts of ``PART``, at least one; a TimeoutError where no time is left."""
+        """The rows in parts of ``PART``, at smallest one; a TimeoutError where no time is left."""
         for k in range(0, max(len(rows), 1), PART):
             if time.perf_counter() - self._begun > self._seconds:
                 lasts = f", as it lasts {self.lasts:.3g} s" if self.lasts else ""
@@ -59,9 +69,7 @@ class Clock:
             yield rows[k : k + PART]
 
 
-def timed(
-    problem: ControlProblem, q: Array, allowed: Callable[[Array], Array | None], clock: Clock
-) -> tuple[Array, Array]:
+def timed(problem: ControlProblem, q: Array, allowed: Allowed, clock: Clock) -> tuple[Array, Array]:
     """Times [s] and configurations at each tick of a path q (K, n), shapes (T,) and (T, n).
 
     Corners are rounded as far as ``allowed`` gives what is near it on the manifold and keeps the
@@ -70,12 +78,12 @@ def timed(
     the clock has run down.
     """
     chain, dt, way, loops = problem.chain, problem.dt, lengths(q), Loops(problem.chain)
-    best, least = q[:1].copy(), np.inf
+    best, smallest = q[:1].copy(), np.inf
     if len(q) < 2:
         return np.zeros(1), best
     _, push, _ = finite_limits(problem)
-    for path, found, straight in _rounded(problem, q, allowed):
-        if found.duration / dt * chain.n > MOST_KEPT:
+    for found, place in _rounded(problem, q, allowed):
+        if found.duration / dt * chain.n > MAX_KEPT:
             words = "more ticks than are kept; let joints go faster"
             raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s, {words}")
         slower = 1.0
@@ -83,27 +91,30 @@ def timed(
             clock.lasts = slower * found.duration
             ticks = dt * np.arange(int(np.ceil(slower * found.duration / dt)) + 1)
             where = np.array([found.where(t)[0] for t in (ticks / slower).tolist()])
-            near = _near(clock.parts(where), path, q if straight else None, allowed)
+            near = _near(clock.parts(where), place, allowed)
             if near is None:
                 break
             pushed = np.diff(near, 2, axis=0, prepend=near[:1], append=near[-1:]) / dt**2
             parts = clock.parts(np.arange(len(near)))
             opened = max(loops.opened(near[max(part[0] - 2, 0) : part[-1] + 1]) for part in parts)
             excess = float((np.abs(pushed) / push).max(initial=opened / SHARE))
-            if excess < least:
-                best, least = near, excess
+            if excess < smallest:
+                best, smallest = near, excess
             if excess <= 1.0:
                 return np.asarray(ticks, float), near
             slower *= 1.01 * np.sqrt(excess)
-    if least == np.inf and way[-1] > 1e-6:  # else it stands still
+    if smallest == np.inf and way[-1] > 1e-6:  # else it stands still
         raise InvalidValueError("plan: a path was found, but nothing near it is free at ticks")
     return np.asarray(dt * np.arange(len(best)), float), best
 
 
 def _rounded(
-    problem: ControlProblem, q: Array, allowed: Callable[[Array], Array | None]
-) -> Iterator[tuple[ClosedPath, TimedPath, bool]]:
-    """Paths with corners that are rounded less and less, where allowed; at last straight lines."""
+    problem: ControlProblem, q: Array, allowed: Allowed
+) -> Iterator[tuple[TimedPath, Callable[[Array], Array]]]:
+    """Timed paths, and where these are at places along them.
+
+    Corners are rounded less and less, where allowed; at last there are straight lines.
+    """
     bounds, widest = motion_bounds(finite_limits(problem), SHARE), None
     for rounded in ROUNDED:
         try:
@@ -111,25 +122,25 @@ def _rounded(
             widest = widest or path
             at = np.linspace(0.0, path.length, int(path.length / rounded) + 2)
             if allowed(path.spline(at)) is not None:
-                yield path, fastest(RowMaker(path, bounds)), False
+                yield fastest(RowMaker(path, bounds)), path.spline
         except InvalidValueError:
             continue
     if widest:
-        yield widest, fastest(RowMaker(widest, bounds)), True
+        way, length = lengths(q), widest.length
+
+        def straight(at: Array) -> Array:
+            return on_lines(at * way[-1] / length, way, q)
+
+        yield fastest(RowMaker(widest, bounds)), straight
 
 
 def _near(
-    parts: Iterable[Array], path: ClosedPath, straight: Array | None,
-    allowed: Callable[[Array], Array | None],
-) -> Array | None:  # fmt: skip
-    """What is allowed near places along a path, or along the straight lines between rows."""
+    parts: Iterable[Array], place: Callable[[Array], Array], allowed: Allowed
+) -> Array | None:
+    """What is allowed near places along a path."""
     found = list[Array]()
     for at in parts:
-        q = path.spline(at)
-        if straight is not None:
-            way = lengths(straight)
-            q = on_lines(at * way[-1] / path.length, way, straight)
-        if (near := allowed(q)) is None:
+        if (near := allowed(place(at))) is None:
             return None
         found.append(near)
     return np.concatenate(found)

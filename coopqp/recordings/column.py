@@ -128,7 +128,7 @@ def _margins(trace: Trace) -> list[tuple[list[str], NDArray[Any]]]:
     for key in _limits(trace):
         rows = [row for row in trace.margins if (row.owner, row.unit) == key]
         left = np.array([trace.margins[row] for row in rows])
-        found.append(([row.words for row in rows], left))
+        found.append(([row.label for row in rows], left))
     return found
 
 

@@ -58,7 +58,7 @@ def rows(traces: Mapping[str, Trace]) -> str:
 
 def _row(name: str, limit: Audited) -> str:
     value, unit = length(limit.least, limit.row.unit)
-    where = "" if limit.row.joint else f" ({limit.row.words})"
+    where = "" if limit.row.joint else f" ({limit.row.label})"
     names = (name, limit.name + where)
     cells = (
         f"{'✗ ' if limit.broken else ''}{number(value)} {unit}",

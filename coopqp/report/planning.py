@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from coopqp.base.errors import CoopqpError
-from coopqp.base.table import csv_text
+from coopqp.base.reading import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
 from coopqp.report import strict_json
@@ -54,10 +54,10 @@ def reach_json(found: Reach) -> str:
             "q": one.q.tolist(), "bends": one.bends, "joint_margin": one.joint_margin,
             "clearance": one.clearance, "cut_off": one.cut_off,
         }
-        for one in found.found
+        for one in found.solutions
     ]  # fmt: skip
     return strict_json.text({
-        "reachable": bool(found.found), "proven_unreachable": found.proven,
+        "reachable": bool(found.solutions), "proven_unreachable": found.proven,
         "sentence": found.sentence, "tried": found.tried, "configurations": rows,
     })  # fmt: skip
 
@@ -66,7 +66,7 @@ def plan_json(found: Plan) -> str:
     """A plan without its points."""
     seen = found.verification
     data: dict[str, Any] = {
-        "found": found.found, "proven_unreachable": found.proven, "sentence": found.sentence,
+        "found": found.success, "proven_unreachable": found.proven, "sentence": found.sentence,
         "length": found.length, "duration": float(found.t[-1]) if len(found.t) else 0.0,
         "seconds": found.seconds,
         "verified": {"points": seen.points, "open": seen.open} if seen else None,
@@ -175,7 +175,7 @@ def phase_titles(parts: Sequence[TimedPath], scenario: Scenario) -> list[str]:
 
 def _picture(found: TimedPath, colors: dict[str, str]) -> str:
     """The speed along the path in the colour of what is active there, under what is possible."""
-    way, top = found.profile, 1.05 * float(np.sqrt(found.profile.most.max()))
+    way, top = found.profile, 1.05 * float(np.sqrt(found.profile.max_x.max()))
     x = MARGIN + (WIDTH - 2 * MARGIN) * way.s / way.s[-1]
     low = HEIGHT - MARGIN
 
@@ -183,7 +183,7 @@ def _picture(found: TimedPath, colors: dict[str, str]) -> str:
         at = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
         return f'<polyline points="{at}" fill="none" stroke="{color}" stroke-width="{width}"/>'
 
-    most, y = (low - (low - MARGIN) * np.sqrt(np.maximum(k, 0.0)) / top for k in (way.most, way.x))
+    most, y = (low - (low - MARGIN) * np.sqrt(np.maximum(k, 0.0)) / top for k in (way.max_x, way.x))
     parts = [line(zip(x, most, strict=True), "#cccccc", 1.5)]
     parts.append(line([(MARGIN, MARGIN), (MARGIN, low), (WIDTH - MARGIN, low)], BLACK, 1.0))
     pairs = list(zip(x, y, strict=True))

@@ -189,7 +189,7 @@ def _node(arguments: Sequence[str]) -> Iterator[Any]:
         from rclpy.signals import SignalHandlerOptions
     except ImportError:
         words = "rclpy; source the setup.bash of a ROS 2 whose Python this is (docs/ros.md)"
-        raise MissingDependencyError("'coopqp ros'", words=words) from None
+        raise MissingDependencyError("'coopqp ros'", instructions=words) from None
     # Its own handlers would cut the node off before the robot is commanded to stop.
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)

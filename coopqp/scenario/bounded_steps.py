@@ -3,7 +3,7 @@
 With r(x) the residual, J its Jacobian and mu the damping, a step d solves
 
     minimise    |r + J d|^2 + mu |d|^2
-    subject to  lower <= x + d <= upper,   |d_i| <= most,   G d <= h
+    subject to  lower <= x + d <= upper,   |d_i| <= max_step,   G d <= h
 
 and is taken when |r|^2 falls; mu grows when it does not and shrinks when it does.
 scipy's trf has no rows G, and closes fewer starts of redundant arms in more time.
@@ -20,7 +20,7 @@ from coopqp.solver import Solution
 from coopqp.solvers import Daqp
 
 #: Damping mu at first, at least and at most, in units of J'J.
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-11, 1e3
+DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-11, 1e3
 
 #: The search has ended when a step changes |r|^2 by less than this share.
 STUCK = 1e-6
@@ -37,7 +37,7 @@ class Stop:
     """When a search ends: after so many steps, with a residual small enough, or stuck."""
 
     steps: int
-    most: float  # that a variable goes in one
+    max_step: float  # of a variable
     enough: Callable[[Array], bool]  # whether the residual is
     stuck: float = STUCK  # least share of change of |r|^2
 
@@ -64,11 +64,13 @@ class BoundedSteps:
         mu = DAMPING
         r, J = residual(x)
         for _ in range(stop.steps):
-            if stop.enough(r) or mu > MOST_DAMPING:
+            if stop.enough(r) or mu > MAX_DAMPING:
                 break
             curvature, slope = J.T @ J, J.T @ r
-            self._limit(x, bounds, stop.most, inequalities)
-            while mu <= MOST_DAMPING:
+            self._limit(x, bounds, stop.max_step)
+            if inequalities:
+                self._qp.G[:], self._qp.h[:] = inequalities(x)
+            while mu <= MAX_DAMPING:
                 trial = self.step(x, curvature, slope, np.full(len(x), mu), bounds)
                 trial_r, trial_J = residual(trial)
                 if trial_r @ trial_r < r @ r:
@@ -77,7 +79,7 @@ class BoundedSteps:
             else:
                 break
             stuck = trial_r @ trial_r > (1.0 - stop.stuck) * (r @ r)
-            x[:], r, J, mu = trial, trial_r, trial_J, max(mu / 5.0, LEAST_DAMPING)
+            x[:], r, J, mu = trial, trial_r, trial_J, max(mu / 5.0, MIN_DAMPING)
             if stuck:
                 break
         return r
@@ -89,12 +91,12 @@ class BoundedSteps:
         slope: Array,
         damping: Array,
         bounds: tuple[Array, Array],
-        most: float | None = None,
+        max_step: float | None = None,
     ) -> Array:
-        """The best point of the quadratic model within ``most`` of x; x where there is none."""
+        """The best point of the quadratic model within ``max_step`` of x; x where there is none."""
         qp = self._qp
-        if most is not None:
-            self._limit(x, bounds, most, None)
+        if max_step is not None:
+            self._limit(x, bounds, max_step)
         qp.P[:] = curvature
         qp.P.reshape(-1)[:: qp.n + 1] += damping
         qp.q[:] = slope
@@ -104,11 +106,6 @@ class BoundedSteps:
         step = np.clip(self._solution.v, qp.lb, qp.ub)
         return np.asarray(np.clip(x + step, *bounds), float)
 
-    def _limit(
-        self, x: Array, bounds: tuple[Array, Array], most: float, inequalities: Inequalities | None
-    ) -> None:
-        qp, (lower, upper) = self._qp, bounds
-        np.maximum(lower - x, -most, out=qp.lb)
-        np.minimum(upper - x, most, out=qp.ub)
-        if inequalities:
-            qp.G[:], qp.h[:] = inequalities(x)
+    def _limit(self, x: Array, bounds: tuple[Array, Array], max_step: float) -> None:
+        np.maximum(bounds[0] - x, -max_step, out=self._qp.lb)
+        np.minimum(bounds[1] - x, max_step, out=self._qp.ub)

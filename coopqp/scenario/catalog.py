@@ -11,6 +11,10 @@ of the same shape:
 
     [project.entry-points."coopqp.plugins"]
     my_lab = "my_lab.plugins"           # with my_lab/plugins/tasks/hold_height.py
+
+A user's folder is a package, so that its modules can be imported, relatively too, and pickled. It
+is named after its whole path: two folders never share a name, and a process that has never heard of
+the folder, such as a worker, finds its modules by name alone.
 """
 
 from __future__ import annotations
@@ -20,13 +24,15 @@ import functools
 import importlib
 import inspect
 import keyword
+import os
 import sys
-import traceback
 import typing
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
 from itertools import chain
 from pathlib import Path
 from types import ModuleType
@@ -36,19 +42,21 @@ from pydantic.dataclasses import is_pydantic_dataclass
 
 from coopqp.base.errors import CoopqpError, Fault, unknown_name
 from coopqp.base.reading import absolute, version
-from coopqp.base.wording import said
+from coopqp.base.wording import message_of, place_of
 from coopqp.controller import Controller, Law
 from coopqp.grasp import Grasp
 from coopqp.limit import Limit
 from coopqp.metric import OF_STUDIES, Metric
 from coopqp.plant import Plant, PlantModel
 from coopqp.robot import Robot
-from coopqp.scenario.user_folders import package_of
 from coopqp.signal import Signal
 from coopqp.solver import Solver
 from coopqp.task import Task
 
 GROUP = "coopqp.plugins"
+#: Makes this module the parent of the users' folders, whose names begin so.
+__path__: list[str] = []
+FOLDER = f"{__name__}.at_"
 
 #: Collections in the order they are listed: folder and what its classes are.
 COLLECTIONS: dict[str, type] = {
@@ -138,6 +146,25 @@ def _line(cls: type) -> int:
     return inspect.getsourcelines(cls)[1]
 
 
+class _Finder(MetaPathFinder):
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        name = fullname.removeprefix(FOLDER)
+        if name == fullname or "." in name:
+            return None
+        spec = ModuleSpec(fullname, None, is_package=True)
+        spec.submodule_search_locations = [os.fsdecode(bytes.fromhex(name))]
+        return spec
+
+
+sys.meta_path.append(_Finder())
+
+
+def _package_of(folder: Path) -> str:
+    return f"{FOLDER}{os.fsencode(folder).hex()}"
+
+
 @dataclass(frozen=True)
 class Shelf:
     """One collection's folder."""
@@ -167,7 +194,8 @@ class Shelf:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - a user's file may raise anything
-            found = Fault(_place(error, file), f"cannot be imported: {_said(error)}")
+            place = place_of(error, lambda name: Path(name).parent == file.parent) or str(file)
+            found = Fault(place, f"cannot be imported: {_message(error)}")
         if isinstance(found, Fault):
             sys.modules.pop(module, None)  # so that the mended file is read
         return found
@@ -182,7 +210,7 @@ def installed() -> Iterator[Shelf | Fault]:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - a package may raise anything
-            words = f"cannot be imported: {_said(error)}; mend or uninstall its package"
+            words = f"cannot be imported: {_message(error)}; mend or uninstall its package"
             yield Fault(place, words)
             continue
         if not hasattr(package, "__path__"):
@@ -210,7 +238,7 @@ def _in_subfolders(folder: Path, package: str | None) -> Iterator[Shelf | Fault]
             words = unknown_name("collection", found.name, COLLECTIONS)
             yield Fault(str(found), f"{words}; names of other folders begin with _")
             continue
-        yield Shelf(found.name, found, f"{package}.{found.name}" if package else package_of(found))
+        yield Shelf(found.name, found, f"{package}.{found.name}" if package else _package_of(found))
 
 
 def _wrong_name(name: str, kind: str) -> str:
@@ -223,19 +251,11 @@ def _wrong_name(name: str, kind: str) -> str:
     return ""
 
 
-def _place(error: BaseException, file: Path) -> str:
-    if isinstance(error, SyntaxError) and error.filename:
-        return f"{error.filename}:{error.lineno}"
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [f"{f.filename}:{f.lineno}" for f in frames if Path(f.filename).parent == file.parent]
-    return own[-1] if own else str(file)
-
-
-def _said(error: BaseException) -> str:
-    words = error.msg if isinstance(error, SyntaxError) else said(error)
+def _message(error: BaseException) -> str:
+    words = message_of(error)
     if isinstance(error, PydanticUserError):
         words = words.partition(". ")[0]  # what follows is about pydantic's settings
-    return f"{type(error).__name__}: {' '.join(words.split())}"
+    return f"{type(error).__name__}: {words}"
 
 
 class Catalog:
@@ -260,7 +280,7 @@ class Catalog:
             (Shelf(kind, shipped / kind, f"coopqp.{kind}") for kind in COLLECTIONS),
             installed(),
             *(_in_subfolders(folder, None) for folder in plugins),
-            (Shelf("tasks", folder, package_of(folder)) for folder in tasks),
+            (Shelf("tasks", folder, _package_of(folder)) for folder in tasks),
         )
         for shelf in dict.fromkeys(shelves):
             if isinstance(shelf, Fault):

@@ -78,8 +78,7 @@ def contradictions(
     yield from _of_problems(scenario)
     for name in scenario.grasp_of:
         if name not in scenario.controllers:
-            words = unknown_name("controller", name, scenario.controllers)
-            yield Wrong(["grasp_of", name], words)
+            yield Wrong(["grasp_of", name], unknown_name("controller", name, scenario.controllers))
     given_to, plant = scenario.disturbance, scenario.plant
     for key in () if plant.takes_torques else (own.name for own in fields(Disturbance)):
         ignored = getattr(given_to, key) != getattr(given_to.kinematic, key)
@@ -283,10 +282,9 @@ def _longest(data: Mapping[str, Any], scenario: Scenario) -> Location:
 def _released(scenario: Scenario) -> Iterator[Wrong]:
     arms = {arm.name for arm in scenario.robot_model.arms}
     for i, phase in enumerate(scenario.phases):
-        place: Location = ["phases", i, "released"]
         for name in phase.released:
             if name not in arms:
-                yield Wrong(place, unknown_name("arm", name, arms))
+                yield Wrong(["phases", i, "released"], unknown_name("arm", name, arms))
 
 
 def _broken_tasks(tasks: Sequence[Placed], places: Mapping[str, Places]) -> Iterator[Wrong]:
@@ -347,14 +345,13 @@ def _broken_inputs(
                 yield Wrong(used(name), unknown_name("input", name, scenario.inputs))
                 continue
             try:
-                asked = (task, *scenario.secondary)
-                Feed(scenario.inputs, Inputs(scenario.inputs, asked, start, scenario.dt))
+                tasks_of_it = (task, *scenario.secondary)
+                Feed(scenario.inputs, Inputs(scenario.inputs, tasks_of_it, start, scenario.dt))
             except CoopqpError as error:
                 yield Wrong(used(name) if here is None else ["inputs", name], str(error))
     try:
         for phase in scenario.schedule:
-            chain = places[phase.name].start.chain
-            wanted((*phase.tasks, *scenario.secondary), State(chain))
+            wanted((*phase.tasks, *scenario.secondary), State(places[phase.name].start.chain))
     except CoopqpError as error:
         yield Wrong(["inputs"], str(error))
 

@@ -93,9 +93,9 @@ class FaultyPlant(PlantModel):
         self._plant, self._faults, self.signals = plant, faults, plant.signals
         self._dt, self._chain, self._ticks = problem.dt, problem.chain, 0
         self._own = State(problem.chain, plant.measured)
-        self._felt, self._lost = plant.hand_wrench, False
+        self._hand_wrench, self._lost = plant.hand_wrench, False
         for fault in faults:
-            if fault.of == "force" and self._felt is None:
+            if fault.of == "force" and self._hand_wrench is None:
                 words = "this plant has no force sensors; use plant: rigid_body, quasi_static"
                 raise InvalidValueError(f"{fault.fault.kind}: {words} or mujoco").at(*fault.place)
         self.measured: Array = self._own.q.copy()
@@ -103,7 +103,7 @@ class FaultyPlant(PlantModel):
 
     @property
     def hand_wrench(self) -> Array | None:
-        return None if self._felt is None else self._felt.copy()
+        return None if self._hand_wrench is None else self._hand_wrench.copy()
 
     def step(self, state: State, command: Command) -> None:
         own, torques = self._own, command.tau is not None
@@ -137,7 +137,7 @@ class FaultyPlant(PlantModel):
         self._own = State(self._chain, before._own.q)
         self._own.v[:] = before._own.v
         self._faults, self._ticks, self._lost = before._faults, before._ticks, before._lost
-        self.measured, self._felt = before.measured, before._felt
+        self.measured, self._hand_wrench = before.measured, before._hand_wrench
 
     @property
     def _t(self) -> float:
@@ -154,12 +154,12 @@ class FaultyPlant(PlantModel):
 
     def _read(self, q: Array) -> None:
         """Write what the sensors say of joints that are at q and of the hands' forces."""
-        read, self._felt = q.copy(), self._plant.hand_wrench
+        read, self._hand_wrench = q.copy(), self._plant.hand_wrench
         for fault in self._faults:
             if fault.of == "encoder":
                 fault.alter(read, self._t)
-            elif fault.of == "force" and self._felt is not None:
-                fault.alter(self._felt, self._t)
+            elif fault.of == "force" and self._hand_wrench is not None:
+                fault.alter(self._hand_wrench, self._t)
         self._lost = any(f.of == "reading" and f.fault.acts(self._t) for f in self._faults)
         if not self._lost:
             self.measured = read

@@ -28,7 +28,6 @@ from coopqp.base.errors import CoopqpError, unknown_name
 from coopqp.base.spec import field_docs, type_name
 from coopqp.base.wording import Location, shown
 from coopqp.grasp import Grasp
-from coopqp.robot import Robot
 from coopqp.scenario.catalog import COLLECTIONS, Catalog
 from coopqp.scenario.planned import PlanReference
 from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
@@ -151,7 +150,6 @@ def _fields(cls: Any) -> list[tuple[Any, Any, Key]]:
 
 
 def _named(default: Any) -> Any:
-    """A default as a file would say it: plug-ins by name."""
     if isinstance(default, tuple):
         return list(map(_named, default))
     return type_name(type(default)) if isinstance(default, tuple(COLLECTIONS.values())) else default
@@ -177,8 +175,6 @@ def _type(hint: Any, catalog: Catalog) -> Any:
     return hint
 
 
-#: Plug-ins that others have inside, and their ideas.
-INNER: dict[str, type] = {"robots": Robot, "signals": Signal}
 #: Settings of the loop for robots that people look for in a file.
 OF_LOOP = {"reactions": "is an argument of OnlineLoop; a scenario has none"}
 #: Keys that each phase has for itself, where there are phases.
@@ -202,13 +198,13 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
 
     def inner(kind: str, value: Any) -> Any:
         """A plug-in inside another, such as one of several robots."""
-        read = _adapter(catalog, kind).validate_json(json.dumps(value), context=context)
+        adapter = TypeAdapter[Any](one_of(catalog, kind))
+        read = adapter.validate_json(json.dumps(value), context=context)
         for place, words in _mistaken(value, read):
             raise ValueError(f"{wording.dotted(place)}: {words}")
         return chosen(read)[1]
 
     def read_signal(value: dict[str, Any], needed: bool) -> Signal | None:
-        """A signal where a task may have one."""
         named = len(value) == 1 and set(value) <= set(catalog.entries("signals"))
         return inner("signals", value) if needed or named else None
 
@@ -218,7 +214,7 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
     try:
         read = model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
-        slots: dict[type, Any] = {idea: one_of(catalog, kind) for kind, idea in INNER.items()}
+        slots = {idea: one_of(catalog, kind) for kind, idea in COLLECTIONS.items()}
         wrong = wording.faults(error, file.data, model, slots)
         found += [Wrong(place, OF_LOOP.get(wording.dotted(place), words)) for place, words in wrong]
     except (CoopqpError, KeyboardInterrupt):
@@ -274,8 +270,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Slot):
         return chosen(value)[1]
     return Phase(**given(value)) if isinstance(value, BaseModel) else value
-
-
-@functools.lru_cache(maxsize=16)
-def _adapter(catalog: Catalog, kind: str) -> TypeAdapter[Any]:
-    return TypeAdapter(one_of(catalog, kind))

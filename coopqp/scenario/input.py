@@ -14,9 +14,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
-from coopqp.base.reading import FilePath
+from coopqp.base.reading import FilePath, read_table
 from coopqp.base.spec import Array, Positive, spec
-from coopqp.base.table import read_table
 from coopqp.base.wording import counted
 from coopqp.model.state import State
 from coopqp.model.trajectory_filter import MotionLimits, TrajectoryFilter
@@ -47,9 +46,9 @@ class InputSettings(MotionLimits):
     when_stale: Literal["brake", "hold"] = "brake"
     """brake: come to rest; hold: go on to the last value and stay there."""
     lower: list[float] | None = None
-    """Least of each number; a value beyond is taken as this."""
+    """Lower bound of each number; a value beyond is taken as this."""
     upper: list[float] | None = None
-    """Most of each number."""
+    """Upper bound of each number."""
     feed: Annotated[Signal | None, Reads(None)] = None
     """A signal that plays the part of who sends, in every tick of a comparison."""
     feed_file: FilePath | None = None
@@ -65,10 +64,24 @@ class InputSettings(MotionLimits):
 
 
 class Channel(TrajectoryFilter):
-    """One input while the arms move, of a kind, which begins at ``value``, shape (values,)."""
+    """One input while the arms move, of a kind, at rest where it begins, shape (values,).
 
-    def __init__(self, kind: Kind, settings: InputSettings, dt: float, value: Array) -> None:
-        super().__init__(kind, settings, dt, value)
+    InvalidValueError: it begins nowhere, or settings do not fit.
+    """
+
+    def __init__(self, kind: Kind, start: Array | None, settings: InputSettings, dt: float) -> None:
+        if kind.velocity and settings.when_stale == "hold":
+            words = "when_stale: hold would go on for ever with a velocity; use brake"
+            raise InvalidValueError(words)
+        for key in ("lower", "upper"):
+            found = getattr(settings, key)
+            if found is not None and len(found) != kind.numbers:
+                needs = f"needs {kind.numbers} for a {kind.name}"
+                raise InvalidValueError(f"{key}: found {counted(len(found), 'number')}, {needs}")
+        if start is None:
+            words = f"where is the {kind.name} before anything arrives? Say it where it is used"
+            raise InvalidValueError(f"{words}, as input: {{name: ..., start: [...]}}")
+        super().__init__(kind, settings, dt, start)
         self._settings = settings
         self.target = self.value.copy()  # arrived last, or is where it began
         self.sent = -math.inf  # when that was [s]
@@ -165,7 +178,7 @@ class Inputs:
                 continue
             if name not in settings:
                 raise UnknownNameError("input", name, settings)
-            self.channels[name] = open_channel(kind, here, settings[name], dt)
+            self.channels[name] = Channel(kind, here, settings[name], dt)
         start.inputs.update(self.channels)
         start.inputs.update(self.clocks)
 
@@ -186,36 +199,18 @@ class Inputs:
                 refused.append(f"{name}: {why}")
             elif channel:
                 arrived[name] = channel.sent, channel.target
-        goes_on = now > self._now > -math.inf
-        reading = state.reading
+        goes_on, reading = now > self._now > -math.inf, state.reading
         for name, clock in self.clocks.items():
             if goes_on:
                 clock.advance()
             clock.look(state.q if reading is None else reading)
             arrived[name] = now, clock.value
-        if goes_on:
-            for name, channel in self.channels.items():
-                if not channel.advance(now):
-                    refused.append(f"{name}: no way there within its bounds")
+        for name, channel in self.channels.items() if goes_on else ():
+            if not channel.advance(now):
+                refused.append(f"{name}: no way there within its bounds")
         self._now = now
         followed.arrived, followed.refused = arrived, tuple(refused)
         followed.stale = tuple(n for n, channel in self.channels.items() if channel.stale(now))
-
-
-def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: float) -> Channel:
-    """An input at rest where it begins; InvalidValueError if nowhere, or settings do not fit."""
-    if kind.velocity and settings.when_stale == "hold":
-        words = "when_stale: hold would go on for ever with a velocity; use brake"
-        raise InvalidValueError(words)
-    for key in ("lower", "upper"):
-        found = getattr(settings, key)
-        if found is not None and len(found) != kind.numbers:
-            needs = f"needs {kind.numbers} for a {kind.name}"
-            raise InvalidValueError(f"{key}: found {counted(len(found), 'number')}, {needs}")
-    if here is None:
-        words = f"where is the {kind.name} before anything arrives? Say it where it is used"
-        raise InvalidValueError(f"{words}, as input: {{name: ..., start: [...]}}")
-    return Channel(kind, settings, dt, here)
 
 
 class Feed:

@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
+from coopqp.base.reading import read_table
 from coopqp.base.spec import Array
-from coopqp.base.table import read_table
 from coopqp.base.wording import counted
 from coopqp.closed_loop.forces import StaticHold, contact_notes
 from coopqp.closed_loop.hands import WrenchStack
@@ -61,12 +61,13 @@ def notes(
     chosen = scenario.controllers if controllers is None else controllers
     hidden = hidden_freedom(scenario.chain)
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
+    kernel = any(isinstance(c, QPController) and c.engine == "auto" for c in chosen.values())
     return [
         *_far(scenario),
         *_unmovable(scenario),
         *_unsupported(scenario, chosen),
         *_idle_priorities(scenario),
-        *_without_kernel(chosen),
+        *([native.MISSING] if kernel and native.module() is None else []),
         *of_limits,
         *contact_notes(scenario.chain),
         *_far_hands(scenario.chain),
@@ -101,11 +102,6 @@ def _idle_priorities(scenario: Scenario) -> Iterator[str]:
                 )
 
 
-def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
-    asked = any(isinstance(c, QPController) and c.engine == "auto" for c in controllers.values())
-    return [native.MISSING] if asked and native.module() is None else []
-
-
 def _of_inputs(scenario: Scenario, *, steered: bool) -> Iterator[str]:
     start = State(scenario.chain)
     wanted(scenario.problem().all_tasks, start)
@@ -130,40 +126,34 @@ def _of_forces(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator
     if not (pressing and problem.wrenches and problem.chain.holding > 1):
         return
     start = State(problem.chain)
-    asked = WrenchStack(problem.wrenches, start)
-    asked.update(start)
-    for said in unreachable_wrenches(StaticHold(problem.chain, safety=1.0), asked):
-        yield f"{' and '.join(pressing)}: {said}"
+    stack = WrenchStack(problem.wrenches, start)
+    stack.update(start)
+    for message in unreachable_wrenches(StaticHold(problem.chain, safety=1.0), stack):
+        yield f"{' and '.join(pressing)}: {message}"
 
 
 def _of_springs(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator[str]:
     """Axes without a spring along which a push is felt along those that have one."""
-    unaware = [
-        name
-        for name, c in chosen.items()
-        if isinstance(c, TorqueQp) and c.external_wrench == "unknown"
-    ]
+    torque_laws = {name: c for name, c in chosen.items() if isinstance(c, TorqueQp)}
+    unaware = [name for name, c in torque_laws.items() if c.external_wrench == "unknown"]
     found = leaks(scenario.problem()) if unaware else None
     if found is None:
         return
-    felt, pushed, force = found
-    lengths = [LENGTH if axis.startswith("rot_") else 1.0 for axis in (pushed, felt)]
-    share = abs(force) * lengths[0] / lengths[1]
-    if share > LEAKS:
+    *axes, force = found
+    turns = [axis.startswith("rot_") for axis in axes]
+    units = ["N m" if turn else "N" for turn in turns]
+    sprung, pushed = (
+        f"about {axis.removeprefix('rot_')}" if turn else f"along {axis}"
+        for axis, turn in zip(axes, turns, strict=True)
+    )
+    lengths = [LENGTH if turn else 1.0 for turn in turns]
+    if abs(force) * lengths[1] / lengths[0] > LEAKS:
         yield (
-            f"{' and '.join(unaware)}: nobody knows the push, so that a push {_along(pushed)} by 1 "
-            f"{_unit(pushed)} moves the springs {_along(felt)} as {force:.2g} {_unit(felt)} would, "
+            f"{' and '.join(unaware)}: nobody knows the push, so that a push {pushed} by 1 "
+            f"{units[1]} moves the springs {sprung} as {force:.2g} {units[0]} would, "
             "by the inertia that they share: F/K is not all; give all six axes a stiffness, or say "
             "torque_qp: {external_wrench: observed}"
         )
-
-
-def _along(axis: str) -> str:
-    return f"about {axis.removeprefix('rot_')}" if axis.startswith("rot_") else f"along {axis}"
-
-
-def _unit(axis: str) -> str:
-    return "N m" if axis.startswith("rot_") else "N"
 
 
 def _of_sag(scenario: Scenario) -> Iterator[str]:
@@ -207,18 +197,15 @@ def _coarse_steps(scenario: Scenario) -> Iterator[str]:
 def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """The parts that this scenario has beyond what every scenario has."""
     tasks = [task for phase in scenario.schedule for task in phase.tasks]
-    if scenario.limits != USUAL_LIMITS:
-        yield "limits", "the limits"
-    if any(task.mode != "soft" for task in tasks):
-        yield "modes", "that tasks are hard or scaled"
-    if any(task.priority for task in tasks):
-        yield "priorities", "the priorities of tasks"
-    if any(task.of_forces for task in tasks):
-        yield "forces", "the forces that are asked for"
-    if scenario.secondary:
-        yield "secondary", "the secondary objectives"
-    if scenario.on_infeasible != "scale":
-        yield "on_infeasible", "on_infeasible"
+    parts = (
+        ("limits", "the limits", scenario.limits != USUAL_LIMITS),
+        ("modes", "that tasks are hard or scaled", any(task.mode != "soft" for task in tasks)),
+        ("priorities", "the priorities of tasks", any(task.priority for task in tasks)),
+        ("forces", "the forces that are asked for", any(task.of_forces for task in tasks)),
+        ("secondary", "the secondary objectives", scenario.secondary),
+        ("on_infeasible", "on_infeasible", scenario.on_infeasible != "scale"),
+    )
+    return ((part, words) for part, words, stated in parts if stated)
 
 
 def _far_hands(chain: ClosedChain) -> Iterator[str]:
@@ -263,16 +250,16 @@ def _unmovable(scenario: Scenario) -> Iterator[str]:
         for task in () if phase.released and not chain.standing else phase.tasks:
             if task.joint_space or task.of_forces or task.asks_velocity or task.impedance:
                 continue
-            seen, at, names = list[Array](), 0, task.rows(chain)
+            jacobians, at, names = list[Array](), 0, task.rows(chain)
             with suppress(Exception):  # of a user's own code, of which the run tells
                 stack = TaskStack([task], State(chain))
                 for state.t, state.q[:] in ((phase.duration, chain.q_start + way) for way in ways):
                     state.update()
                     stack.update(state)
-                    seen.append(stack.J.copy())
-            for part in task.parts(chain) if len(seen) == LOOKS else ():
+                    jacobians.append(stack.J.copy())
+            for part in task.parts(chain) if len(jacobians) == LOOKS else ():
                 rows = slice(at, at := at + part.rows)
-                U, values, _ = np.linalg.svd(np.hstack(seen)[rows], full_matrices=False)
+                U, values, _ = np.linalg.svd(np.hstack(jacobians)[rows], full_matrices=False)
                 still = U[:, values < UNMOVED]
                 off = float(np.linalg.norm(still.T @ stack.e[rows]))
                 if off > part.tolerance:

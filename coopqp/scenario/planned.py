@@ -16,9 +16,8 @@ import numpy as np
 import coopqp
 from coopqp.assessment.limits import audit
 from coopqp.base.errors import InvalidValueError, require_known, under
-from coopqp.base.reading import FilePath
+from coopqp.base.reading import FilePath, Table, read_table
 from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
-from coopqp.base.table import Table, read_table
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controller import Controller, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
@@ -88,7 +87,7 @@ def following(scenario: Scenario, reference: PlanReference) -> Scenario:
             Waypoints(file=reference.plan)._table(POSE)
         else:
             way = coopqp.plan(scenario, keep=reference.keep, budget=reference.seconds)
-            if not way.found:
+            if not way.success:
                 raise InvalidValueError(f"{way.sentence}; it had 'seconds: {reference.seconds:g}'")
             table = Table(Path("plan"), way.columns, 0)
         ways = list(_ways(scenario, table))
@@ -183,8 +182,8 @@ def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array, near: float) -> s
     (late,) = np.nonzero(np.diff(t) > MISSING * np.median(np.diff(t)))
     if len(late):
         return f"rows are missing between {t[late[0]]:.3f} and {t[late[0] + 1]:.3f} s"
-    most = np.where(chain.velocity > 0.0, chain.velocity, np.inf)
-    jumps = np.abs(np.diff(q, axis=0)) > FAST * most * np.diff(t)[:, None]
+    fastest = np.where(chain.velocity > 0.0, chain.velocity, np.inf)
+    jumps = np.abs(np.diff(q, axis=0)) > FAST * fastest * np.diff(t)[:, None]
     if jumps.any():
         i, joint = np.argwhere(jumps)[0]
         return f"{chain.joint_names[joint]} jumps at {t[i]:.3f} s"
@@ -196,8 +195,8 @@ def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array, near: float) -> s
         if opened > NEAR:
             return f"a loop is open by {opened:.2g} m or rad at {at:.3f} s"
         pose = chain.object_pose(row)
-        turned, said = quaternion_of(pose.rotation), x[3:] / np.linalg.norm(x[3:])
-        apart = min(np.abs(turned - said).max(), np.abs(turned + said).max())
+        turned, given = quaternion_of(pose.rotation), x[3:] / np.linalg.norm(x[3:])
+        apart = min(np.abs(turned - given).max(), np.abs(turned + given).max())
         if max(np.abs(pose.translation - x[:3]).max(), apart) > near:
             return f"the object is not where the joints hold it at {at:.3f} s"
     return ""
@@ -210,7 +209,7 @@ def _beyond(problem: ControlProblem, t: Array, q: Array) -> str:
         at, rows = t[::-every][::-1], q[::-every][::-1]
         v = np.diff(rows, axis=0) / np.diff(at)[:, None]
         for row, margin in audit([limit], problem.chain, rows, v, problem.dt).margins.items():
-            if row.unit in OF_SPEED and len(v) and (least := float(margin.min())) < -BEYOND:
+            if row.unit in OF_SPEED and len(v) and (worst := float(margin.min())) < -BEYOND:
                 place = f"at {at[int(margin.argmin()) + 1]:.3f} s"
-                return f"{row.words} is broken by {-least:.2g} {row.unit} {place}"
+                return f"{row.label} is broken by {-worst:.2g} {row.unit} {place}"
     return ""

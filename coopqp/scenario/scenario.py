@@ -21,9 +21,8 @@ from pydantic import Field
 
 from coopqp.assessment.limits import audit
 from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError
-from coopqp.base.reading import absolute
+from coopqp.base.reading import Table, absolute
 from coopqp.base.spec import Array, Name, NonNegative, Pose, Positive, type_name
-from coopqp.base.table import Table
 from coopqp.base.wording import dotted
 from coopqp.closed_loop.forces import contact_faults
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
@@ -50,7 +49,7 @@ from coopqp.solvers import Daqp
 from coopqp.task import Task
 
 #: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
-MOST_KEPT = 4_000_000
+MAX_KEPT = 4_000_000
 
 #: Fields from which the closed chain follows, beside the robot.
 OF_CHAIN = {"start", "grasps", "grasp_of", "held", "weights", "phases"}
@@ -103,26 +102,17 @@ class Scenario:
     The fields with a docstring are the keys of a scenario file, with those that only files have
     (:class:`coopqp.scenario.form.FileKeys`). InvalidValueError: a field is of another type, or a dt
     or duration is no time.
-
-    Attributes:
-        name: of its file.
-        start: where it begins, by arm, joint or passive joint [rad, m].
-        grasps: how the arms hold the object; one for all, or by arm.
-        phases_of: those of controllers that do not follow the plan of the others, by name.
-        source: text of the file it was read from.
-        folder: in which relative paths of the source begin; None where it has none.
-        follows: the plan that it follows.
-        catalog: what it can name; its metrics are measured.
     """
 
-    name: Annotated[str, NO_KEY]
+    name: Annotated[str, NO_KEY]  #: Of its file.
     description: str = ""
     """One sentence for the report."""
     robot: Robot
     """Which robot."""
-    start: Annotated[Start, NO_KEY]
+    start: Annotated[Start, NO_KEY]  #: Where it begins, by arm, joint or passive joint [rad, m].
     start_outside: bool = False
     """Whether joints may start outside their limits."""
+    #: How the arms hold the object; one for all, or by arm.
     grasps: Annotated[Grasp | Mapping[str, Grasp], NO_KEY] = field(default_factory=Rigid)
     grasp_of: Mapping[str, Grasp] = field(default_factory=dict)
     """Grasp of controllers that hold it otherwise, by name."""
@@ -138,6 +128,7 @@ class Scenario:
     ] = ()
     """One after the other, instead of tasks and duration, when arms let go of the object or take
     hold of it."""
+    #: Those of controllers that do not follow the plan of the others, by name.
     phases_of: Annotated[Mapping[str, tuple[Phase, ...]], NO_KEY] = field(default_factory=dict)
     secondary: tuple[Task, ...] = ()
     """Objectives for what the tasks leave free."""
@@ -175,17 +166,18 @@ class Scenario:
     """How the model's error is told from a squeeze, where joints are measured."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Of everything random."""
-    source: Annotated[str, NO_KEY] = ""
+    source: Annotated[str, NO_KEY] = ""  #: Text of the file it was read from.
+    #: In which relative paths of the source begin; None where it has none.
     folder: Annotated[Path | None, NO_KEY] = None
+    #: The plan that it follows.
     follows: Annotated[Table | None, NO_KEY] = field(default=None, repr=False, compare=False)
+    #: What it can name; its metrics are measured.
     catalog: Annotated[Catalog, NO_KEY] = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        looked_at = (
-            (name, _stranger(getattr(self, name), hint)) for name, hint in _types().items()
-        )
-        if strange := [f"{name}: {words}" for name, words in looked_at if words]:
-            raise InvalidValueError("\n".join(strange))
+        wrong_types = {key: _wrong_type(getattr(self, key), hint) for key, hint in _hints().items()}
+        if found := [f"{key}: {message}" for key, message in wrong_types.items() if message]:
+            raise InvalidValueError("\n".join(found))
         wrong = period_fault(self.dt)
         found = [f"dt: {wrong}"] if wrong else []
         found += [
@@ -312,11 +304,11 @@ class Scenario:
         return self.first_ticks[-1] + self.schedule[-1].ticks(self.dt)
 
     def check_size(self) -> None:
-        """Refuse runs of which more would be kept than ``MOST_KEPT``."""
+        """Refuse runs of which more would be kept than ``MAX_KEPT``."""
         each = max(1, len(self.controllers)) * len(self.robot_model.joint_names)
-        if self.ticks * each > MOST_KEPT:
+        if self.ticks * each > MAX_KEPT:
             raise InvalidValueError(
-                f"found {self.ticks} ticks, more than are kept; needs at most {MOST_KEPT // each} "
+                f"found {self.ticks} ticks, more than are kept; needs at most {MAX_KEPT // each} "
                 f"with {len(self.controllers)} controllers and {len(self.robot_model.joint_names)} "
                 "joints, so make the run shorter, or dt longer"
             )
@@ -393,8 +385,8 @@ class Scenario:
         """What the inputs are that tasks of any phase follow, by name."""
         found = dict[str, Kind]()
         for problem in self.problems(lambda _: self.chain.q_start):
-            asked = wanted(problem.all_tasks, State(problem.chain))
-            found |= {name: kind for name, (kind, _) in asked.items()}
+            inputs = wanted(problem.all_tasks, State(problem.chain))
+            found |= {name: kind for name, (kind, _) in inputs.items()}
         return found
 
 
@@ -407,11 +399,11 @@ WIDER: dict[Any, tuple[Any, str]] = {
 
 
 @functools.cache
-def _types() -> dict[str, Any]:
+def _hints() -> dict[str, Any]:
     return typing.get_type_hints(Scenario)
 
 
-def _stranger(value: Any, hint: Any) -> str:
+def _wrong_type(value: Any, hint: Any) -> str:
     """What is wrong with a value that is of another type than it must be; empty where it is not."""
     options = typing.get_args(hint) if typing.get_origin(hint) in UNIONS else (hint,)
     needed = []
@@ -423,7 +415,7 @@ def _stranger(value: Any, hint: Any) -> str:
         if isinstance(value, kind) and not truth:
             part = [p for p in typing.get_args(option) if isinstance(p, type) and p is not str]
             inside = value.values() if isinstance(value, Mapping) else value
-            words = [words for x in inside if (words := _stranger(x, part[0]))] if part else []
+            words = [words for x in inside if (words := _wrong_type(x, part[0]))] if part else []
             return words[0].replace(", needs", " in it, needs") if words else ""
         needed += [called] if option is not type(None) else []
     return f"found {value!r:.60}, needs {' or '.join(needed)}"

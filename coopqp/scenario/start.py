@@ -13,7 +13,7 @@ from coopqp.base.wording import Location
 from coopqp.grasp import Grasp
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import RobotModel, unit_of
-from coopqp.scenario.yaml import LEAST, Wrong
+from coopqp.scenario.yaml import SMALLEST, Wrong
 from coopqp.signal import POSE
 
 Start = Mapping[str, float | Sequence[float]]
@@ -53,7 +53,7 @@ def pose_at(X: pin.SE3) -> Pose:
 
 def without_tiny(numbers: Array) -> Array:
     """With zero where a scenario file could not have a number."""
-    return np.where(np.abs(numbers) < LEAST, 0.0, numbers)
+    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)
 
 
 def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
@@ -91,8 +91,7 @@ def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: 
     for key, value in start.items():
         # Names and counts that are wrong are refused where the start is used.
         slides = [units.get(joint) == "m" for joint in joints.get(key, (key,))]
-        fits = np.size(value) == len(slides)
-        kept = np.reshape(slides, np.shape(value)) if fits else False
+        kept = np.reshape(slides, np.shape(value)) if np.size(value) == len(slides) else False
         converted[key] = np.where(kept, value, np.radians(value)).tolist()
     return converted
 
@@ -110,9 +109,9 @@ def joints_outside(robot: RobotModel, start: Start, q: Array, key: str) -> Itera
         return
     for name in like:
         yield Wrong([key, name], f"{words}; start is in radians, start_deg all in degrees")
-    told = {joint for name in like for joint in given[name]}
+    in_degrees = {joint for name in like for joint in given[name]}
     of_arm = {joint: (arm, i) for arm in arms if arm in start for i, joint in enumerate(arms[arm])}
-    for joint, *value in (value for value in values if value[0] not in told):
+    for joint, *value in (value for value in values if value[0] not in in_degrees):
         place = (joint,) if joint in start else of_arm.get(joint, (joint,))
         yield from _outside((key, *place), joint, *value)
 
@@ -138,8 +137,8 @@ def _outside(
 
 def _like_degrees(robot: RobotModel, q: Array, joints: Sequence[str]) -> bool:
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
-    asked = zip(robot.joint_units, robot.joint_names, strict=True)
-    turns = np.array([unit == "rad" and joint in joints for unit, joint in asked])
+    units = zip(robot.joint_units, robot.joint_names, strict=True)
+    turns = np.array([unit == "rad" and joint in joints for unit, joint in units])
     outside = turns & ((q < lower) | (q > upper))
     inside = (lower <= np.radians(q)) & (np.radians(q) <= upper)
     return bool((np.abs(q[outside]) > 2.0 * math.pi).any() and inside[turns].all())

@@ -30,7 +30,7 @@ from scipy.sparse.csgraph import connected_components
 
 from coopqp.assessment.thresholds import AT_LIMIT, LOOP_CLOSED
 from coopqp.base.errors import GraspError
-from coopqp.base.spec import Array, seeded
+from coopqp.base.spec import UNLIMITED, Array, seeded
 from coopqp.closed_loop.mobility import EXACT, closed_near
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.grasp import Grasp, pose_matrix
@@ -43,14 +43,11 @@ from coopqp.model.grasp_configuration import (
     with_passive_joints,
 )
 from coopqp.robot import RobotModel
-from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
+from coopqp.scenario.bounded_steps import MIN_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.start import Start, by_arm, start_of
 
 Progress = Callable[[int, int], None]
 """Called after each try with the number of tries made and the most there can be."""
-
-#: How far a joint without limits is turned at random [rad or m].
-UNLIMITED = np.pi
 
 #: Random configurations that are tried per group of arms, and starts after which that ends.
 TRIES, ENOUGH = 120, 12
@@ -163,8 +160,8 @@ class StartProblem:
 
     def worth(self, q: Array, columns: Sequence[int]) -> float:
         """How good a start is: its margin, or its distance to the posture to be near."""
-        if asked := [i for i in columns if i in self.near]:
-            return -float(np.linalg.norm((q - self.middle)[asked]))
+        if posed := [i for i in columns if i in self.near]:
+            return -float(np.linalg.norm((q - self.middle)[posed]))
         return float(self.margins(q)[list(columns)].min(initial=np.inf))
 
     def margins(self, q: Array) -> Array:
@@ -182,7 +179,7 @@ class StartSolution:
     start: Mapping[str, float | list[float]]
     margin: float  # least distance of a joint to its limit [rad, m]; infinite without limits
     tries: int  # random configurations it took; none where a given start was closed
-    found: int  # starts among which this has the largest margin (least of all groups of arms)
+    candidates: int  # starts among which this has the largest margin (least of all groups of arms)
     tightest: str = ""  # the joint with the least distance; empty without limits
 
 
@@ -228,15 +225,14 @@ def solve_start(
 
 
 def _ranked(problem: StartProblem, searches: Sequence[_Search]) -> Iterator[StartSolution]:
-    """Starts put together from those of groups, the best first."""
-    tries, found = sum(one.tries for one in searches), min(one.found for one in searches)
+    tries, closed = sum(one.tries for one in searches), min(one.closed for one in searches)
     choices = itertools.product(*(enumerate(search.ranked()) for search in searches))
     q = problem.middle.copy()
     for choice in sorted(choices, key=lambda ones: sum(rank for rank, _ in ones))[:LOOKED_AT]:
         for search, (_, one) in zip(searches, choice, strict=True):
             q[search.columns] = one[search.columns]
         names = list(problem.model.names)[1:]
-        yield _solution(problem.robot, names, q, problem.margins(q), tries, found)
+        yield _solution(problem.robot, names, q, problem.margins(q), tries, closed)
 
 
 def close_start(
@@ -278,7 +274,7 @@ def yaml_text(solution: StartSolution) -> str:
     if not solution.tries:
         remark = f"{text}, the nearest to the given one that closes the loops"
         return start_text(solution.start, remark, FINE_DIGITS)
-    return start_text(solution.start, f"{text}, the best of {solution.found} found")
+    return start_text(solution.start, f"{text}, the best of {solution.candidates} found")
 
 
 def start_text(start: Mapping[str, float | list[float]], remark: str, digits: int = DIGITS) -> str:
@@ -298,7 +294,7 @@ def _without_object(grasps: Mapping[str, Grasp]) -> str:
 
 
 def _solution(
-    robot: RobotModel, names: Sequence[str], q: Array, slack: Array, tries: int = 0, found: int = 1
+    robot: RobotModel, names: Sequence[str], q: Array, slack: Array, tries: int = 0, closed: int = 1
 ) -> StartSolution:
     """The answer in the robot's own terms, with the margin of each joint to its limits."""
     values = dict(zip(names, q.tolist(), strict=True))
@@ -308,7 +304,7 @@ def _solution(
         start=by_arm(robot, values),
         margin=float(slack.min(initial=np.inf)),
         tries=tries,
-        found=found,
+        candidates=closed,
         tightest=str(names[int(slack.argmin())]) if np.isfinite(slack).any() else "",
     )
 
@@ -323,14 +319,14 @@ class _Search:
         self.columns = sorted({j for arm in arms for j in problem.columns[arm]})
         self.kept: list[tuple[float, Array]] = []
         self.nearest = problem.middle.copy()
-        self.tries = self.found = 0
+        self.tries = self.closed = 0
         self.gap = np.inf
         self._bounds = problem.lower[self.columns], problem.upper[self.columns]
         self._steps = BoundedSteps(len(self.columns))
 
     def run(self) -> Iterator[int]:
-        """Try until enough has been found; yields the number of tries made."""
-        while self.tries < TRIES and self.found < ENOUGH:
+        """Yields the number of tries made."""
+        while self.tries < TRIES and self.closed < ENOUGH:
             q = self.problem.middle.copy()
             if self.tries:
                 q[self.columns] = self.problem.sample(self.rng)[self.columns]
@@ -339,7 +335,7 @@ class _Search:
             if gap < self.gap:
                 self.gap, self.nearest = gap, q.copy()
             if gap < CLOSED:
-                self.found += 1
+                self.closed += 1
                 self._keep(q)
                 self._center(q)
                 if self._close(q) < CLOSED:
@@ -381,7 +377,7 @@ class _Search:
             r, J = problem.residual(q, self.arms)
             J, x = J[:, columns], q[columns]
             slope = CLOSING_WEIGHT * J.T @ r + pull * (q - problem.middle)[columns]
-            curvature, damping = CLOSING_WEIGHT * J.T @ J, pull + LEAST_DAMPING
+            curvature, damping = CLOSING_WEIGHT * J.T @ J, pull + MIN_DAMPING
             q[columns] = self._steps.step(x, curvature, slope, damping, self._bounds, STEP)
             if np.abs(q[columns] - x).max() < 1e-3:
                 break

@@ -113,12 +113,9 @@ def try_task(task: Task, places: Places, duration: float) -> None:
         end = min(task.end, duration) or duration
         times = [start.t + share * end for share in SHARES]
         rows = [look.at(place.here, t) for place, t in zip(places.nearby, times, strict=True)]
-        if task.joint_space:
+        if task.joint_space or task.asks_velocity:
             for each in rows:
-                _check_identity(names, each.J)
-        elif task.asks_velocity:
-            for each in rows:
-                _check_zero(names, each.e)
+                _check_declared(task, names, each)
         elif not task.of_forces and any(r.e.any() or r.rate.any() for r in rows):
             for i, t in enumerate(times):
                 if look.disagreement(places.nearby[i], t) and (
@@ -208,20 +205,19 @@ def _disagreement(
     )
 
 
-def _check_identity(names: Sequence[str], J: Array) -> None:
+def _check_declared(task: Task, names: Sequence[str], rows: TaskRows) -> None:
+    J, e = rows.J, rows.e
+    if not task.joint_space:
+        for row in np.flatnonzero(e)[:1].tolist():
+            words = "but a task that asks_velocity has e = 0"
+            raise _PromiseError(f"row {names[row]}: e is {e[row]:.4g}, {words}")
+        return
     if len(J) != J.shape[1]:
         raise _PromiseError(f"joint_space needs a row a joint, {J.shape[1]}; found {len(J)}")
     wrong = (np.diag(np.diag(J) != 0.0) != J).any(axis=1)
     if wrong.any():
         words = "joint_space needs J to be the identity, or zero where nothing is asked"
         raise _PromiseError(f"row {names[int(np.argmax(wrong))]}: {words}")
-
-
-def _check_zero(names: Sequence[str], e: Array) -> None:
-    for name, found in zip(names, e, strict=True):
-        if found != 0.0:
-            words = "but a task that asks_velocity has e = 0"
-            raise _PromiseError(f"row {name}: e is {found:.4g}, {words}")
 
 
 def try_limit(limit: Limit, places: Places, dt: float) -> None:

@@ -26,12 +26,12 @@ from coopqp.base.errors import Fault, ScenarioError, UnreadableFileError
 from coopqp.base.reading import read_text
 from coopqp.base.wording import Location, dotted
 
-MOST_BYTES = 1 << 20  # of a file; reading this much takes seconds
-MOST_VALUES = 20_000  # in a file, aliases written out
+MAX_BYTES = 1 << 20  # of a file; reading this much takes seconds
+MAX_VALUES = 20_000  # in a file, aliases written out
 DEEPEST = 40  # values inside values
 LONGEST = 60  # characters of a number
 #: Sizes between which numbers lie, or 0: beyond them squares leave what floats can hold.
-LEAST, MOST = 1e-30, 1e20
+SMALLEST, LARGEST = 1e-30, 1e20
 
 _INT = re.compile(r"[-+]?(0b[01_]+|0o[0-7_]+|0x[0-9a-fA-F_]+|[0-9][0-9_]*)")
 _FLOAT = re.compile(
@@ -55,7 +55,6 @@ class _Node:
 
     @cached_property
     def size(self) -> int:
-        """How many values it is."""
         return 1 + sum(node.size for _, node in self.inside.values())
 
 
@@ -169,7 +168,7 @@ def has_files(value: Any) -> bool:
 def read_yaml(path: Path) -> YamlFile:
     """Read a YAML mapping; ScenarioError with the line of what is wrong."""
     try:
-        text = read_text(path, MOST_BYTES)
+        text = read_text(path, MAX_BYTES)
     except UnreadableFileError as error:
         raise _refused(error.place, error.why) from None
     return parsed(path, text)
@@ -217,7 +216,6 @@ class _Builder:
         self._values = 0
 
     def line_at(self, index: int) -> int:
-        """The line of a character."""
         return bisect_right(self._starts, index) + 1
 
     def document(self) -> _Node | None:
@@ -266,8 +264,8 @@ class _Builder:
 
     def _count(self, event: Any, values: int) -> None:
         self._values += values
-        if self._values > MOST_VALUES:
-            words = f"the file has more than {MOST_VALUES} values, aliases written out"
+        if self._values > MAX_VALUES:
+            words = f"the file has more than {MAX_VALUES} values, aliases written out"
             raise self._fault(event, words)
 
     def _list(self, deeper: int) -> _Node:
@@ -341,8 +339,8 @@ class _Builder:
         if len(text) > LONGEST:
             raise self._fault(event, f"found {text[:20]}..., a number of {len(text)} characters")
         value = _number(text)
-        if value and math.isfinite(value) and not LEAST <= abs(value) <= MOST:
-            words = f"found {text}; needs 0, or a number of {LEAST:g} to {MOST:g} in size"
+        if value and math.isfinite(value) and not SMALLEST <= abs(value) <= LARGEST:
+            words = f"found {text}; needs 0, or a number of {SMALLEST:g} to {LARGEST:g} in size"
             raise self._fault(event, words)
         return value
 

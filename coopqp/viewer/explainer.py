@@ -80,7 +80,7 @@ class _Explainer:
             record = record_tick(self._law, state, scenario="", controller=self._name, tick=0)
         except CoopqpError as error:
             return (), str(error)
-        return tuple(row.words for row in at_bound(record)), explain(record).sentence
+        return tuple(row.label for row in at_bound(record)), explain(record).sentence
 
 
 def serve_ways(peer: Peer, scenario: Scenario) -> None:
@@ -101,7 +101,7 @@ def found(scenario: Scenario, snapshot: Snapshot) -> WayRound:
         made = planner.plan(Budget(seconds=SECONDS, seed=scenario.seed))
     except Exception as error:  # noqa: BLE001 - code of plug-ins may raise; the page goes on
         return WayRound(f"no way round can be looked for: {error}")
-    if not made.found:
+    if not made.success:
         return WayRound(f"no way round was found in {SECONDS:g} s, which proves nothing")
     took = f"{sum(made.seconds.values()):.2g} s, {made.length:.3g} rad"
     words = f"a way round was found in {took}: Go round follows it"

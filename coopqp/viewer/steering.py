@@ -32,7 +32,7 @@ from coopqp.model.trajectory_filter import RAMPS, VELOCITIES, MotionLimits
 from coopqp.recordings.csv_file import FOLDER, InputRows, fed, file_name
 from coopqp.report.files import write_one
 from coopqp.scenario.input import Arrival, InputSettings
-from coopqp.scenario.scenario import MOST_KEPT, Scenario
+from coopqp.scenario.scenario import MAX_KEPT, Scenario
 from coopqp.scenario.yaml import as_yaml, parsed
 from coopqp.signal import (
     DIRECTION,
@@ -332,7 +332,7 @@ class Recording:
         self.ticks, self.note = [0], ""
         self._sent: dict[str, InputRows] = {}
         joints = len(scenario.robot_model.joint_names)
-        self._max_ticks = MOST_KEPT // (joints * max(1, len(controllers)))
+        self._max_ticks = MAX_KEPT // (joints * max(1, len(controllers)))
 
     @property
     def seconds(self) -> float:

@@ -220,11 +220,11 @@ def test_limits_that_are_not_in_space_cannot_be_eased() -> None:
 
 
 def test_rows_have_words_for_people(held_box: ClosedChain) -> None:
-    corners = [row.words for row in TABLE.rows(held_box)]
+    corners = [row.label for row in TABLE.rows(held_box)]
     assert corners[0] == "the table, corner -x -y -z of the object"
     assert corners[7] == "the table, corner +x +y +z of the object"
     assert corners[8] == "the table, RHand"
     margins = JointPosition().margins(
         held_box, np.vstack([held_box.q_start] * 2), np.zeros((1, held_box.n)), DT
     )
-    assert "RElbowRoll (upper)" in {row.words for row in margins}
+    assert "RElbowRoll (upper)" in {row.label for row in margins}

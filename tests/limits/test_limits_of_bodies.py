@@ -94,7 +94,7 @@ def test_more_pairs_than_can_be_watched_are_refused(
     things = {f"t{i}": Obstacle(sphere=0.01, position=(1.0, 0.0, 0.1 * i)) for i in range(400)}
     with pytest.raises(InvalidValueError, match=r"obstacles: watches 2800 pairs, at most 2500"):
         Obstacles(shapes=things).rows(held_box)
-    monkeypatch.setattr(_keep_apart, "MOST_PAIRS", 5)
+    monkeypatch.setattr(_keep_apart, "MAX_PAIRS", 5)
     with pytest.raises(InvalidValueError, match=r"self_collision: watches 15 pairs, at most 5"):
         SelfCollision().rows(held_box)
 

@@ -156,8 +156,9 @@ def test_a_search_ends_where_the_caller_raises() -> None:
         raise KeyboardInterrupt
 
     space.others = lambda q: bool(np.abs(q - space.chain.q_start).max() < 0.3)
+    budget = Budget(seconds=60.0, max_projections=10**9)
     with pytest.raises(KeyboardInterrupt):
-        space.way(space.chain.q_start[None], goals, Budget(seconds=60.0, most=10**9), stop)
+        space.way(space.chain.q_start[None], goals, budget, stop)
 
 
 def test_charts_lead_with_as_many_joints_as_there_are_freedoms() -> None:

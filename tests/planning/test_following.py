@@ -207,7 +207,7 @@ def test_joints_that_are_held_for_good_are_told_of(tmp_path: Path) -> None:
 def test_a_regrasp_is_planned_through_and_followed(tmp_path: Path) -> None:
     scenario = load("regrasp")
     found = plan(scenario, budget=AMPLE)
-    assert found.found
+    assert found.success
     np.testing.assert_array_equal(np.unique(found.phase), [1.0, 2.0, 3.0, 4.0])
     assert np.abs(np.diff(found.timed, axis=0)).max() < 0.1
     _, path = write_plan(found, scenario, tmp_path)

@@ -51,7 +51,7 @@ def test_passive_joints_shared_torso_three_arms_and_few_joints(name: str) -> Non
     q = q[planner.space.is_free(q) & ~cut_off(problem.chain, q)]
     end = q[np.linalg.norm(q - problem.chain.q_start, axis=1).argmin()]
     found = planner.plan(AMPLE, end)
-    assert found.found, found.sentence
+    assert found.success, found.sentence
     _check(found, problem.chain, end)
 
 
@@ -66,7 +66,7 @@ def test_loops_with_more_rows_than_are_independent(name: str) -> None:
     end = np.array(walk[-1:] or [chain.q_start])
     assert planner.space.project(end)[0]
     found = planner.path(AMPLE, end)
-    assert found.found, found.sentence
+    assert found.success, found.sentence
     if chain.loops.closed:
         assert max(np.abs(chain.loop_error(q)).max() for q in along(found.q, 0.004)) < 1e-5
 
@@ -75,12 +75,12 @@ def test_a_goal_at_which_loops_cannot_be_closed_is_not_found() -> None:
     scenario = load("two_pandas")
     far = replace(scenario, tasks=(PointOnPoint(name="far", goal=[0.05, 0.0, 0.35]),))
     found = reach(far)
-    assert not found.found
+    assert not found.solutions
     assert not found.proven
     assert found.sentence.startswith("not found from 4096 starts: left/panda_joint6")
     assert "beyond that it stays off by 108 mm along -x" in found.sentence
     assert "unreachable" not in found.sentence
-    assert not plan(far, budget=AMPLE).found
+    assert not plan(far, budget=AMPLE).success
 
 
 def _pressed(mass: float) -> Scenario:
@@ -91,10 +91,12 @@ def _pressed(mass: float) -> Scenario:
 
 @pytest.mark.full
 def test_hands_have_to_hold_the_object_where_it_is_to_go() -> None:
-    assert reach(_pressed(0.2)).found
-    with patch("coopqp.planning.reach.MOST", 512):  # all of its starts take a quarter of a minute
+    assert reach(_pressed(0.2)).solutions
+    with patch(
+        "coopqp.planning.reach.MAX_TRIES", 512
+    ):  # all of its starts take a quarter of a minute
         found = reach(_pressed(0.8))
-    assert not found.found
+    assert not found.solutions
     assert not found.proven
     assert "found, but hands hold at most" in found.sentence
     assert "of the object's weight there, as motor" in found.sentence
@@ -113,7 +115,7 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
 def test_a_way_that_was_made_shorter_is_a_way() -> None:
     problem = load("shelves").problem()
     planner = Planner(problem, 4.0)
-    end = reach(load("shelves")).found[0].q
+    end = reach(load("shelves")).solutions[0].q
     lengths = {}
     for shortcuts in (0, 150):
         found = planner.path(replace(AMPLE, shortcuts=shortcuts), end)
@@ -141,9 +143,9 @@ def test_elbows_go_through_stretched_arms_to_the_other_side(signs: tuple[int, in
     here = replace(scenario, tasks=(place,))
     elbows = [chain.joint_names.index(name) for name in ("right_2", "left_2")]
     assert tuple(np.sign(chain.q_start[elbows])) == (1, -1)
-    end = next(one.q for one in reach(here).found if tuple(np.sign(one.q[elbows])) == signs)
+    end = next(one.q for one in reach(here).solutions if tuple(np.sign(one.q[elbows])) == signs)
     found = plan(here, goals=end, budget=AMPLE)
-    assert found.found, found.sentence
+    assert found.success, found.sentence
     _check(found, chain, end)
 
 
@@ -162,7 +164,7 @@ def test_past_a_mesh_and_a_second_board(tmp_path: Path) -> None:
     text = f"{text[:begin]}{MESH}\n        {FRONT}\n        {text[end:]}"
     scenario = load_text(tmp_path / "gap.yaml", text, load("shelves").catalog)
     found = plan(scenario, budget=AMPLE)
-    assert found.found, found.sentence
+    assert found.success, found.sentence
     _check(found, scenario.chain, found.q[-1])
     assert found.verification is not None
     assert found.verification.good
@@ -185,12 +187,12 @@ def test_ranges_that_no_limit_names_are_kept(limits: list[object]) -> None:
     """Verdicts look at them in any case; the way moves at the speeds that the limits allow."""
     scenario = _nao(limits)
     way, chain = plan(scenario, budget=Budget(seconds=60.0)), scenario.chain
-    assert way.found, way.sentence
+    assert way.success, way.sentence
     _check(way, chain, way.q[-1])
     np.testing.assert_allclose(way.timed[-1], way.q[-1], atol=1e-6)
     share = 0.1 if "scale" in str(limits) else 1.0
     assert (np.abs(np.diff(way.timed, axis=0)) / scenario.dt <= share * chain.velocity).all()
-    ends = np.array([one.q for one in reach(scenario).found])
+    ends = np.array([one.q for one in reach(scenario).solutions])
     assert len(ends)
     assert (np.clip(ends, chain.lower, chain.upper) == ends).all()
 

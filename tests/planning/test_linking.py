@@ -111,7 +111,7 @@ def test_windings_of_two_turns_are_proven_unreachable(tmp_path: Path) -> None:
     assert not len(space.way(start, q[turns != 0], budget))  # which knows nothing of turns
     for row in q[turns == 0][:10]:
         way = planner.path(Budget(seconds=60.0), row)
-        assert way.found
+        assert way.success
         assert not space.line.differs(way.q).any()
 
 

@@ -51,22 +51,22 @@ def test_reach_finds_configurations_that_meet_the_tasks_inside_all_limits(
 ) -> None:
     found, problem = reach(shelves), shelves.problem()
     goal, room = Goal(problem.chain, problem.tasks, shelves.duration), Room(problem)
-    assert found.found
+    assert found.solutions
     assert not found.proven
-    for one in found.found:
+    for one in found.solutions:
         assert not goal.missed(one.q)
         assert goal.open < 1e-8
         assert room.violation(one.q) < 1e-6  # by coal, which rounds more
         assert one.joint_margin >= 0.0
         assert one.clearance > -1e-6
-    assert sum(map(len, found.groups.values())) == len(found.found)
+    assert sum(map(len, found.groups.values())) == len(found.solutions)
 
 
 def test_equal_seeds_find_equal_configurations() -> None:
     scenario = load("planar_pair")
     first, second, other = (reach(scenario, seed=seed) for seed in (4, 4, 5))
-    np.testing.assert_array_equal(first.found[0].q, second.found[0].q)
-    assert not np.array_equal(first.found[0].q, other.found[0].q)
+    np.testing.assert_array_equal(first.solutions[0].q, second.solutions[0].q)
+    assert not np.array_equal(first.solutions[0].q, other.solutions[0].q)
     assert len(first.groups) == 4  # both elbows, up and down
 
 
@@ -75,14 +75,14 @@ def test_what_is_beyond_the_arms_lengths_is_proven_unreachable() -> None:
     far = replace(scenario, tasks=(PointOnPoint(name="reach", goal=[1.2, 0.0, 0.0]),))
     found = reach(far)
     assert found.proven
-    assert not found.found
+    assert not found.solutions
     assert "m from the base of right, which is" in found.sentence
 
 
 def test_what_no_search_finds_is_not_called_unreachable() -> None:
     found = reach(load("joint_limit_stress"))
     assert not found.proven
-    assert not found.found
+    assert not found.solutions
     assert "not found from 4096 starts: reach stops 29.9 mm short" in found.sentence
     assert "hold it back" in found.sentence
 
@@ -107,7 +107,7 @@ def test_a_plan_begins_at_the_start_and_ends_where_the_tasks_are_met(
 ) -> None:
     problem = shelves.problem()
     goal = Goal(problem.chain, problem.tasks, shelves.duration)
-    assert way.found
+    assert way.success
     assert way.verification is not None
     assert way.verification.good
     np.testing.assert_allclose(way.q[0], problem.chain.q_start, atol=1e-6)
@@ -132,11 +132,11 @@ def test_the_second_look_sees_what_is_wrong(shelves: Scenario, way: Plan) -> Non
     straight = np.linspace(way.q[0], way.q[-1], 500)
     found = verifier.look(straight, 0.01)
     assert found.open > 1e-3
-    assert "a loop is open by" in found.words
+    assert "a loop is open by" in found.message
     assert not verifier.look(way.q[::40], 0.01).good  # straight lines open the loops
     beyond = way.q.copy()
     beyond[7, 3] = room.upper[3] + 0.1
-    assert "outside its limits" in verifier.look(beyond, 0.001).words
+    assert "outside its limits" in verifier.look(beyond, 0.001).message
 
 
 def test_the_second_look_sees_bodies_in_each_other(shelves: Scenario, way: Plan) -> None:
@@ -148,7 +148,7 @@ def test_the_second_look_sees_bodies_in_each_other(shelves: Scenario, way: Plan)
     other = load_text(Path("shelves_with_ball.yaml"), text, shelves.catalog)
     seen = Verifier(ClosedSpace(other.problem())).look(way.q, 0.01)
     assert seen.hits > 0
-    assert "break a limit in space" in seen.words
+    assert "break a limit in space" in seen.message
 
 
 def test_goals_off_the_limits_of_joints_come_before_nearer_ones() -> None:
@@ -170,7 +170,7 @@ def test_where_no_way_leads_to_the_nearest_goals_further_ones_are_tried(
 
     monkeypatch.setattr(planner.space, "way", none_to_few)
     found = planner.plan(AMPLE)
-    assert found.found
+    assert found.success
     assert counts[0] == 12 < counts[1]
     assert f"one of {counts[1]} goal configurations" in found.sentence
     assert found.sentence.endswith(f"it lasts {found.t[-1]:.3g} s")
@@ -185,7 +185,7 @@ def test_a_task_that_is_kept_is_met_all_along() -> None:
     aside = replace(scenario, tasks=(kept, replace(carry, goal=[0.72, 0.12, here])))
     found = plan(aside, keep=["level"], budget=AMPLE)
     goal = Goal(aside.chain, placed((kept,), aside.chain), aside.duration)
-    assert found.found
+    assert found.success
     for q in found.q[::10]:
         assert not goal.missed(q)
 
@@ -204,7 +204,7 @@ def test_goals_that_are_given_are_checked() -> None:
         plan(scenario, goals=[0.0, 1.0])
     with pytest.raises(CoopqpError, match=r"goals\[0\]: is open"):
         plan(scenario, goals=scenario.chain.q_start + 0.1)
-    assert plan(scenario, goals=scenario.chain.q_start, budget=AMPLE).found
+    assert plan(scenario, goals=scenario.chain.q_start, budget=AMPLE).success
 
 
 def test_a_start_beyond_a_limit_or_in_something_is_refused(shelves: Scenario) -> None:
@@ -221,14 +221,14 @@ def test_a_start_beyond_a_limit_or_in_something_is_refused(shelves: Scenario) ->
 
 
 def test_a_seed_of_any_size_is_one(shelves: Scenario) -> None:
-    goal = reach(shelves).found[0].q
+    goal = reach(shelves).solutions[0].q
     huge, small = (plan(shelves, goals=goal, budget=Budget(seed=s)) for s in (2**64 + 7, 7))
     np.testing.assert_array_equal(huge.q, small.q)
 
 
 def test_without_time_it_says_that_this_proves_nothing(shelves: Scenario) -> None:
-    found = plan(shelves, goals=reach(shelves).found[0].q, budget=Budget(seconds=1e-9))
-    assert not found.found
+    found = plan(shelves, goals=reach(shelves).solutions[0].q, budget=Budget(seconds=1e-9))
+    assert not found.success
     assert "that proves nothing" in found.sentence
     assert not len(found.q)
 
@@ -366,7 +366,7 @@ def _doubled(phases: Sequence[Phase]) -> Iterator[Phase]:
 def test_the_number_of_threads_changes_no_answer(shelves: Scenario) -> None:
     one, three = (reach(shelves, threads=count) for count in (1, 3))
     assert one.sentence == three.sentence
-    for a, b in zip(one.found, three.found, strict=True):
+    for a, b in zip(one.solutions, three.solutions, strict=True):
         np.testing.assert_array_equal(a.q, b.q)
 
 

@@ -80,18 +80,19 @@ def test_a_goal_of_another_part_is_proven_unreachable_at_once() -> None:
     q = q[planner.space.is_free(q)]
     away = cut_off(problem.chain, q)
     found = planner.plan(Budget(seconds=60.0), q[away])
-    assert not found.found
+    assert not found.success
     assert found.sentence.startswith("proven unreachable: no motion leads there: from the start's")
     assert found.proven
-    assert planner.plan(Budget(seconds=60.0), q).found
+    assert planner.plan(Budget(seconds=60.0), q).success
 
 
 def test_plans_go_to_configurations_that_are_not_cut_off() -> None:
     scenario = load("two_pandas")
     found = reach(scenario)
     chain = scenario.problem().chain
-    told = np.array([one.cut_off for one in found.found])
-    np.testing.assert_array_equal(told, cut_off(chain, np.array([one.q for one in found.found])))
+    told = np.array([one.cut_off for one in found.solutions])
+    goals = np.array([one.q for one in found.solutions])
+    np.testing.assert_array_equal(told, cut_off(chain, goals))
     assert told.any()
     assert f"; {told.sum()} of them no motion leads to: from the start's" in found.sentence
     way = plan(scenario, budget=Budget(seconds=60.0))
@@ -128,8 +129,8 @@ def test_behind_naos_back_no_configuration_is_in_the_starts_part(goal: tuple[flo
     chain = scenario.problem().chain
     assert is_cut_off(chain, np.array(goal))
     found = reach(replace(scenario, tasks=(PointOnPoint(name="reach", goal=list(goal)),)))
-    assert found.found
-    assert all(one.cut_off for one in found.found)
+    assert found.solutions
+    assert all(one.cut_off for one in found.solutions)
 
 
 def test_in_front_of_nao_the_surfaces_meet_in_the_starts_part() -> None:

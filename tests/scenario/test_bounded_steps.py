@@ -9,7 +9,7 @@ from scipy.optimize import least_squares, lsq_linear
 from coopqp.base.spec import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
 
-NEVER = Stop(steps=200, most=1.0, enough=lambda r: False, stuck=0.0)
+NEVER = Stop(steps=200, max_step=1.0, enough=lambda r: False, stuck=0.0)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -56,7 +56,7 @@ def test_what_is_printed_can_be_pasted(tmp_path: Path, start: str) -> None:
 def test_the_printed_start_has_no_minus_zero_and_stays_inside() -> None:
     found = StartSolution(
         q=np.zeros(2), passive={}, start={"arm": [-1e-12, 1.0], "x": -0.5}, margin=np.inf,
-        tries=1, found=1,
+        tries=1, candidates=1,
     )  # fmt: skip
     assert yaml_text(found).splitlines()[1:] == [
         "  arm: [0.00000000, 1.00000000]",
@@ -66,7 +66,7 @@ def test_the_printed_start_has_no_minus_zero_and_stays_inside() -> None:
 
 def test_a_finger_that_is_nearest_to_its_limit_is_to_be_locked() -> None:
     found = StartSolution(
-        q=np.zeros(1), passive={}, start={"arm": [0.0]}, margin=0.02, tries=1, found=1,
+        q=np.zeros(1), passive={}, start={"arm": [0.0]}, margin=0.02, tries=1, candidates=1,
         tightest="panda_finger_joint1",
     )  # fmt: skip
     assert "limits (at panda_finger_joint1, which seems to be a gripper's: lock it)" in yaml_text(

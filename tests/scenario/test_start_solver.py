@@ -116,7 +116,7 @@ def test_a_shipped_scenario_closes(name: str, seed: int) -> None:
     found = load_and_solve(name, seed=seed)
     assert isinstance(scenario.grasps, dict)
     check(scenario.robot_model, scenario.grasps, scenario.held, found)
-    assert found.found > 1
+    assert found.candidates > 1
 
 
 def test_a_pose_that_is_reached_is_found_again(rng: np.random.Generator) -> None:

@@ -129,7 +129,7 @@ def test_a_law_that_knows_no_limits_is_not_blamed_on_them_but_told_to_break_them
     by = -trace.margins[worst].min()
     assert 0.1 < by < limit
     assert found.sentence.startswith("the goals are reached, but beyond limits: ")
-    assert f"{worst.words} by {by:.3g} rad" in found.sentence
+    assert f"{worst.label} by {by:.3g} rad" in found.sentence
     assert explained(nao(REACH)).sentence == "every goal is reached"
 
 
@@ -146,7 +146,7 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
     pose, half = State(like.chain), 0.5 * np.array(like.held.size)
     d = z - 0.025 - pose.p_WO[2] - np.abs(pose.R_WO[2]) @ half  # the slab is level
     assert told.row.bodies == ("object", "slab")
-    assert told.row.words == f"the distance of object and slab ({1e3 * d:.1f} mm)"
+    assert told.row.label == f"the distance of object and slab ({1e3 * d:.1f} mm)"
     joint = Share(next(iter(room.sides.values())), 1.0)
     assert insufficient_time._with_nearest_pair(joint, room, like.chain.q_start) is joint
 

@@ -213,7 +213,7 @@ def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
     requested = max(matrix_rank(J, RANK) for J in alone)
     best = max(within, key=lambda JZ: matrix_rank(JZ, RANK))
     left = matrix_rank(best, RANK)
-    rows = independent_rows(best, most=left)
+    rows = independent_rows(best, max_rows=left)
     if left >= requested or not rows or not Search(goal.masked(rows)).best(q).reached:
         return None
     return TooFewFreedoms(goal.tasks, int(requested), left)

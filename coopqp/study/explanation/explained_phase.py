@@ -402,7 +402,7 @@ def with_suggestion(
     if suggestion is None:
         return base.because("limits", sentence, shares)
     needs = tuple(
-        Needed(limit=n.row.name, words=n.row.words, amount=n.amount, unit=n.row.unit)
+        Needed(limit=n.row.name, words=n.row.label, amount=n.amount, unit=n.row.unit)
         for n in suggestion.needs
     )
     tried, time = suggestion.reached, suggestion.time
@@ -435,6 +435,6 @@ def needed(needs: Sequence[Violation]) -> str:
     """Limits with their relaxations."""
     clauses = []
     for need in needs:
-        name = need.row.words if need.limit is None else need.row.owner.replace("_", " ")
+        name = need.row.label if need.limit is None else need.row.owner.replace("_", " ")
         clauses.append(f"{name} by {words.size(need.amount, need.row.unit)}")
     return words.listed(clauses)

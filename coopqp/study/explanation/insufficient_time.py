@@ -162,7 +162,7 @@ def _with_nearest_pair(share: Share, room: Room, q: Array) -> Share:
     if not own:
         return share
     left, row = min(own, key=lambda pair: pair[0])
-    label = f"{row.words} ({1e3 * (left + row.kept):.1f} mm)"
+    label = f"{row.label} ({1e3 * (left + row.kept):.1f} mm)"
     return replace(share, row=replace(row, label=label))
 
 

@@ -376,7 +376,7 @@ def _relaxations(
     rows = zip(tick.limit_rows, result[1].tolist(), tick.slack.tolist(), strict=False)
     relaxations = [
         Relaxation(
-            row.name, x * (record.dt if row.of_place else 1.0), row.unit, row.words, left < AT_BOUND
+            row.name, x * (record.dt if row.of_place else 1.0), row.unit, row.label, left < AT_BOUND
         )
         for row, x, left in rows
         if x > NOTHING
@@ -397,7 +397,7 @@ def _sentence(
         clauses.append(f"{listed(result.contradicting)} ask for motions that rule each other out")
     elif along and result.relaxations:
         more = {r.name: r for r in result.relaxations}
-        now = [_with_amount(share.row.words, more.get(share.row.name)) for share in held]
+        now = [_with_amount(share.row.label, more.get(share.row.name)) for share in held]
         now = now or [_with_amount(r.words, r) for r in result.relaxations if r.now]
         coming = [r.words for r in result.relaxations if not r.now]
         who = listed(["the loop", *now])

@@ -52,7 +52,7 @@ def percent(share: float) -> str:
 
 def with_note(row: Row, note: str) -> str:
     """A limit's words with a note in its brackets."""
-    words = row.words
+    words = row.label
     return f"{words[:-1]}, {note})" if words.endswith(")") else f"{words} ({note})"
 
 
@@ -79,7 +79,7 @@ def holding(shares: Sequence[Share]) -> str:
     if not shares:
         return "the limits hold it back"
     if len(shares) == 1:
-        return f"{shares[0].row.words} alone holds it back"
+        return f"{shares[0].row.label} alone holds it back"
     return f"{_first(_with_percents(shares, ' of the constraint force'))} hold it back"
 
 
@@ -120,7 +120,7 @@ def start(q: Array, chain: ClosedChain) -> str:
 def _reach(cause: TooFar) -> str:
     part, several, named = cause.part, len(cause.shares) > 1, cause.shares[:MAX_NAMED]
     text, unit = part.task.name, part.part.unit
-    held = listed(_with_percents(named) if several else [share.row.words for share in named])
+    held = listed(_with_percents(named) if several else [share.row.label for share in named])
     if cause.cost > cause.distance:
         verb = "hold" if several else "holds"
         text = f"{held} {verb} {text} back by {size(cause.cost, unit)}; beyond that it"
@@ -182,7 +182,7 @@ def opened(result: Assessment, kappa: float) -> str:
 def broken(result: Assessment) -> str:
     """Limits that a run went beyond; empty where there are none."""
     violated = [o for o in (*result.joints, *result.limits, *result.speeds) if o.farther]
-    amounts = [f"{o.row.words} by {size(o.by, o.row.unit)}" for o in violated]
+    amounts = [f"{o.row.label} by {size(o.by, o.row.unit)}" for o in violated]
     return f"beyond limits: {_first(amounts)}" if amounts else ""
 
 
@@ -264,7 +264,7 @@ class RunExplanation:
     ) -> RunExplanation:
         """With its cause, in words after what it misses, and more attributes."""
         sentence = f"{self.sentence}; {cause}" if self.sentence else cause
-        held = tuple(HeldBack(limit=s.row.name, words=s.row.words, share=s.share) for s in shares)
+        held = tuple(HeldBack(limit=s.row.name, words=s.row.label, share=s.share) for s in shares)
         return replace(self, kind=kind, sentence=sentence, held_back=held, **more)
 
     def as_json(self) -> dict[str, Any]:
