@@ -15,7 +15,6 @@ in which the same hands hold are one call of the compiled kernel.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -254,15 +253,16 @@ class ChunkFilter:
 
     def _gripped(self, wished: Array) -> Array:
         """What grippers are told, shape (N, 2): in their range and speed."""
-        last, most = self._grips, self._grip_step + ROUNDING
+        step, moves = self._grip_step, np.diff(wished, axis=0, prepend=self._grips[None])
         inside = (wished >= -ROUNDING) & (wished <= OPEN + ROUNDING)  # of NaN it is False
-        if inside.all() and (np.abs(np.diff(wished, axis=0, prepend=last[None])) <= most).all():
+        if inside.all() and (np.abs(moves) <= step + ROUNDING).all():
             return wished
-        steps = [
-            _stepped(x, a, self._grip_step)
-            for x, a in zip(wished.T.tolist(), last.tolist(), strict=True)
-        ]
-        return np.array(steps).T
+
+        def stepped(last: Array, wish: Array) -> Array:
+            near = np.clip(np.clip(wish, last - step, last + step), 0.0, OPEN)
+            return np.where(np.isfinite(wish), near, last)
+
+        return np.array([*itertools.accumulate(wished, stepped, initial=self._grips)][1:])
 
     def _follow(
         self, given: Array, q: Array, holding: NDArray[np.bool_], taken: Array | None, *,
@@ -277,8 +277,9 @@ class ChunkFilter:
         off, rounding = np.zeros(len(x)), RECORDED if recorded else ROUNDING
         found = _Followed(np.empty(x.shape), np.empty(x.shape), changed, off, rounding)
         now, flags = (told[0] if recorded and len(x) else q).copy(), changed.view(np.uint8)
-        for a, b in _alike(holding):
-            holds = bool(holding[a])
+        a = b = 0
+        for holds, frames in itertools.groupby(holding.tolist()):
+            b += len(list(frames))
             taken = (now.copy() if taken is None else taken) if holds else None
             if taken is not None:
                 self._kernel.take_hold(taken)
@@ -397,16 +398,6 @@ def _law(chain: ClosedChain, kept: FilterSettings, *limits: Limit) -> KernelLaw:
     return law
 
 
-def _stepped(wished: Sequence[float], last: float, most: float) -> list[float]:
-    """A gripper's numbers, each in its range and at most a step from the one before."""
-    found = []
-    for wish in wished:
-        if math.isfinite(wish):
-            last = min(max(min(max(wish, last - most), last + most), 0.0), OPEN)
-        found.append(last)
-    return found
-
-
 def _told(row: Array, action: Any) -> Array:
     """The frame after one, by a dict; ValueError where it is none."""
     if not isinstance(action, Mapping):
@@ -421,12 +412,6 @@ def _told(row: Array, action: Any) -> Array:
         if value.size != 1:
             raise ValueError(f"{key}: found shape {value.shape}, needs a number")
     return np.array(found, float).ravel()
-
-
-def _alike(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Begin and end of each stretch of equal flags."""
-    edges = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
-    return ((a, b) for a, b in itertools.pairwise(edges) if a < b)
 
 
 def _way(q: Array, goal: Array) -> Array:
