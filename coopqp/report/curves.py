@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -85,7 +84,7 @@ def styles(traces: Mapping[str, Trace]) -> dict[str, Style]:
 def chosen_styles(keeps_limits: Mapping[str, bool]) -> dict[str, Style]:
     """The same by whether each controller keeps limits."""
     chosen: dict[str, Style] = {}
-    before = {True: count(), False: count()}
+    before = {True: itertools.count(), False: itertools.count()}
     for name, keeps in keeps_limits.items():
         colors, dashes = (QP_COLORS, QP_DASHES) if keeps else (OTHER_COLORS, OTHER_DASHES)
         i = next(before[keeps])

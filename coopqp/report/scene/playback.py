@@ -22,6 +22,7 @@ from coopqp.base.spec import Array, type_name
 from coopqp.closed_loop.forces import squeezes
 from coopqp.execution.comparison import Comparison
 from coopqp.execution.instants import arm_points
+from coopqp.limit import Limit
 from coopqp.model import marker
 from coopqp.model.marker import Marker, asked
 from coopqp.report.cells import length
@@ -132,7 +133,15 @@ def scene(comparison: Comparison) -> Json:
         "duration": float(first.t[-1]),
         "size": list(scenario.held.size),
         "view": view(comparison, bodies, in_view(marks)),
-        "bodies": [_body(body) for body in bodies],
+        "bodies": [
+            {
+                "moves": body.joint > 0,
+                "arm": body.arm,
+                "vertices": short(body.surface.vertices.ravel()),
+                "triangles": body.surface.corners.ravel().tolist(),
+            }
+            for body in bodies
+        ],
         "notes": [*robot.warnings, *faults, *dict.fromkeys(undrawn)],
         **as_json(marks),
         "controllers": [
@@ -149,16 +158,6 @@ def scene(comparison: Comparison) -> Json:
             }
             for name, trace in traces.items()
         ],
-    }
-
-
-def _body(body: Body) -> Json:
-    """The surface in its joint's frame; the base's is in the world."""
-    return {
-        "moves": body.joint > 0,
-        "arm": body.arm,
-        "vertices": short(body.surface.vertices.ravel()),
-        "triangles": body.surface.corners.ravel().tolist(),
     }
 
 
@@ -212,8 +211,7 @@ def joint_state(trace: Trace) -> NDArray[np.int64]:
 
 
 def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
-    texts = []
-    margins = {unit: margin(trace, unit) for unit in joint_units([trace])}
+    texts, margins = [], {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
         lines = []
         errors = zip(trace.tasks, trace.goal_error[k], trace.task_error[k], strict=True)
@@ -223,8 +221,7 @@ def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
                 same = behind == far or trace.t[k] >= task.end
                 way = "" if same else f", {behind:.3g} from its reference"
                 lines.append(f"{task.name} {far:.3g} {unit} off{way}")
-        left = [f"{m[k]:.3g} {unit}" for unit, m in margins.items() if np.isfinite(m[k])]
-        if left:
+        if left := [f"{m[k]:.3g} {unit}" for unit, m in margins.items() if np.isfinite(m[k])]:
             lines.append(f"limit margin {', '.join(left)}")
         if k > 0 and "hand_wrench" in trace.signals:
             signals = (trace.signals[name][k - 1] for name in ("hand_point", "hand_wrench"))
@@ -253,8 +250,8 @@ def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[s
     near = np.clip(everything, starts.min(axis=0) - reach, starts.max(axis=0) + reach)
     shown = np.concatenate([near, goals])
     low, high = shown.min(axis=0), shown.max(axis=0)
-    corners = {"low": low, "high": high, "rims": _rims(shown, 0.5 * (low + high))}
-    return {name: short(values) for name, values in corners.items()}
+    rims = _rims(shown, 0.5 * (low + high))
+    return {"low": short(low), "high": short(high), "rims": short(rims)}
 
 
 def _rims(points: Array, middle: Array) -> Array:
@@ -331,38 +328,27 @@ def shown_marks(
     scenario: Scenario, frames: NDArray[np.int64], trace: Trace, faults: list[str]
 ) -> list[Shown]:
     """The markers of the tasks of all phases and of the limits, at ticks; errors become faults."""
-    place, every = Place(scenario), []
+    place, every = Place(scenario), list[Shown]()
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
     for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
-        own = np.flatnonzero(phases == i).tolist()
-        times = {k: float(trace.t[frames[k]]) - tick * scenario.dt for k in own}
-        for task in phase.tasks:
-            marks = {
-                k: asked(task.name, partial(task.marks, trace.moment(int(frames[k]), t)), faults)
-                for k, t in times.items()
-            }
-            every += _through_time(marks, task.name, place, limit=False)
-        for limit in scenario.limits:
-            name = type_name(type(limit))
-            marks = {k: asked(name, partial(limit.marks, t), faults) for k, t in times.items()}
-            every += _through_time(marks, name, place, limit=True)
-    return every
-
-
-def _through_time(
-    marks: dict[int, tuple[Marker, ...]], name: str, place: Place, *, limit: bool
-) -> list[Shown]:
-    """Markers by frame, which may come and go; one that stays is one."""
-    every: list[Shown] = []
-    current: dict[tuple[int, str], Shown] = {}
-    for k, marks_then in marks.items():
-        for i, mark in enumerate(marks_then):
-            kind, values = place.drawn(mark)
-            shown = current.get((i, kind))
-            if shown is None or shown.frames["last"] < k - 1:
-                shown = current[i, kind] = Shown(kind, name, limit, k)
-                every.append(shown)
-            shown.values.append(values)
+        times = {
+            k: float(trace.t[frames[k]]) - tick * scenario.dt
+            for k in np.flatnonzero(phases == i).tolist()
+        }
+        sources: list[Any] = [*phase.tasks, *scenario.limits]
+        for source in sources:
+            limit = isinstance(source, Limit)
+            name = type_name(type(source)) if limit else source.name
+            current: dict[tuple[int, str], Shown] = {}  # which may come and go
+            for k, t in times.items():
+                at = t if limit else trace.moment(int(frames[k]), t)
+                for n, mark in enumerate(asked(name, partial(source.marks, at), faults)):
+                    kind, values = place.drawn(mark)
+                    last = current.get((n, kind))
+                    if last is None or last.frames["last"] < k - 1:
+                        last = current[n, kind] = Shown(kind, name, limit, k)
+                        every.append(last)
+                    last.values.append(values)
     return every
 
 
