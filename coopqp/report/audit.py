@@ -21,7 +21,7 @@ from coopqp.report.curves import Figure, Json, Style
 from coopqp.trace import Trace
 
 SHOWN = 10  # limits of each controller in the table
-MOST_LINES = 14  # of the timeline
+MAX_LINES = 14  # of the timeline
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def timeline(traces: Mapping[str, Trace], styles: Mapping[str, Style]) -> Figure
     used = Counter[str]()
     for of in found.values():
         used |= Counter({name: int(active.sum()) for name, active in of.items()})  # the most
-    shown = [name for name, _ in used.most_common(MOST_LINES)]
+    shown = [name for name, _ in used.most_common(MAX_LINES)]
     if not shown:
         return None
     data: list[Json] = []

@@ -11,7 +11,7 @@ import math
 import os
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -119,8 +119,7 @@ def _check_known(element: Element, entry: str) -> None:
     for name in element.attrib:
         absent = [other for other in names if other not in element.attrib]
         if name not in names and _is_refused(name, absent, "attributes" in known.lenient):
-            words = _nearest("attribute", name, names)
-            raise fault(element, f"{words}")
+            raise fault(element, _nearest("attribute", name, names))
     for name in known.required.split():
         if not element.get(name):
             raise fault(element, f"needs {name}")
@@ -184,20 +183,6 @@ def _negative_moment(element: Element) -> str:
     return f"{place_of(element)}: a principal moment is {smallest:.3g} kg m2; no body has that"
 
 
-def _check_names(elements: Iterable[Element], kind: str) -> None:
-    taken = set[str]()
-    for element in elements:
-        name = element.get("name")
-        if name is not None:
-            if name in taken:
-                raise fault(element, f"another {kind} has this name already; rename one")
-            taken.add(name)
-
-
-_BOTH = "attributes elements"
-_ONE, _THREE = Numbers(1), Numbers(3)
-_LENGTH, _LIMIT = Numbers(1, "length", positive=True), Numbers(1, "limit")
-_ROUND = Known("name", required="radius length", numbers={"radius": _LENGTH, "length": _LENGTH})
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 #: Geometries that are read, and the attributes of their sizes.
 SIZES = {
@@ -207,42 +192,34 @@ SIZES = {
     "sphere": ("radius",),
     "mesh": ("scale",),
 }
+_BOTH = "attributes elements"
+_ONE, _THREE = Numbers(1), Numbers(3)
+_LENGTH, _LIMIT = Numbers(1, "length", positive=True), Numbers(1, "limit")
+_ROUND = Known("name", required="radius length", numbers={"radius": _LENGTH, "length": _LENGTH})
 KNOWN: dict[str, Known] = {
-    "robot": Known(
-        "name version",
-        {"link": "link", "joint": "joint", "material": "", "gazebo": "", "transmission": ""},
-        lenient=_BOTH,
-    ),
-    "link": Known(
-        "name type",
-        {"inertial": "inertial", "visual": "part", "collision": "part"},
-        required="name",
-        lenient=_BOTH,
-    ),
-    "joint": Known(
-        "name type",
-        {
-            "parent": "end", "child": "end", "calibration": "", "safety_controller": "",
-            **{tag: tag for tag in ("origin", "axis", "limit", "mimic", "dynamics")},
-        },
-        required="name type",
-        lenient=_BOTH,
-    ),
-    "part": Known(
-        "name", {"origin": "origin", "geometry": "geometry", "material": ""}, lenient=_BOTH
-    ),
-    "inertial": Known(
-        "", {"origin": "origin", "mass": "mass", "inertia": "inertia"}, lenient="elements"
-    ),
+    "robot": Known("name version", lenient=_BOTH, inside={
+        "link": "link", "joint": "joint", "material": "", "gazebo": "", "transmission": "",
+    }),
+    "link": Known("name type", required="name", lenient=_BOTH, inside={
+        "inertial": "inertial", "visual": "part", "collision": "part",
+    }),
+    "joint": Known("name type", required="name type", lenient=_BOTH, inside={
+        "parent": "end", "child": "end", "calibration": "", "safety_controller": "",
+        **{tag: tag for tag in ("origin", "axis", "limit", "mimic", "dynamics")},
+    }),
+    "part": Known("name", lenient=_BOTH, inside={
+        "origin": "origin", "geometry": "geometry", "material": "",
+    }),
+    "inertial": Known(lenient="elements", inside={
+        "origin": "origin", "mass": "mass", "inertia": "inertia",
+    }),
     "geometry": Known("name", {kind: kind for kind in SIZES}, lenient=_BOTH),
     "origin": Known(numbers={"xyz": Numbers(3, "length"), "rpy": _THREE}),
     "end": Known("link", required="link"),
     "axis": Known(required="xyz", numbers={"xyz": _THREE}),
-    "limit": Known(
-        required="effort velocity",
-        numbers=dict.fromkeys(("lower", "upper", "effort", "velocity"), _LIMIT),
-        lenient="attributes",
-    ),
+    "limit": Known(required="effort velocity", lenient="attributes", numbers=dict.fromkeys(
+        ("lower", "upper", "effort", "velocity"), _LIMIT,
+    )),
     "mimic": Known("joint", required="joint", numbers={"multiplier": _ONE, "offset": _ONE}),
     "dynamics": Known(numbers={"damping": _ONE, "friction": _ONE}, lenient="attributes"),
     "mass": Known(required="value", numbers={"value": Numbers(1, "mass", positive=True)}),
@@ -251,9 +228,7 @@ KNOWN: dict[str, Known] = {
     "cylinder": _ROUND,
     "capsule": _ROUND,
     "sphere": Known("name", required="radius", numbers={"radius": _LENGTH}),
-    "mesh": Known(
-        "filename", required="filename", numbers={"scale": _THREE}, lenient="attributes"
-    ),
+    "mesh": Known("filename", required="filename", lenient="attributes", numbers={"scale": _THREE}),
 }  # fmt: skip
 #: Rounding error of a principal moment [kg m2].
 ROUNDING = 1e-6
@@ -279,7 +254,7 @@ def _check_schema(xml: Element) -> list[str]:
             raise fault(part, "needs a <geometry> with a shape in it")
     for joint in xml.findall("joint"):
         if (kind := joint.get("type", "")) not in KINDS:
-            raise fault(joint, f"{_nearest('type', kind, KINDS)}", "type")
+            raise fault(joint, _nearest("type", kind, KINDS), "type")
         _check_limit(joint)
     _check_tree(xml)
     names = [joint.get("name", "") for joint in xml.findall("joint")]
@@ -366,10 +341,16 @@ def _told_place(xml: Element, words: Sequence[str]) -> str:
 
 def _check(xml: Element) -> list[str]:
     """Refuse what no parser should get; returns warnings."""
-    warnings = []
-    _check_names(xml.findall("link"), "link")
-    _check_names(xml.findall("joint"), "joint")
-    for part in (*xml.findall("link"), *xml.findall("joint")):
+    warnings, links, joints = [], xml.findall("link"), xml.findall("joint")
+    for parts in (links, joints):
+        taken = set[str | None]()
+        for part in parts:
+            name = part.get("name")
+            if name in taken:
+                words = f"another {part.tag} has this name already; rename one"
+                raise fault(part, words)
+            taken |= {name} - {None}
+    for part in (*links, *joints):
         for element in part.iter():
             _check_numbers(element, KNOWN.get(element.tag, Known()).numbers)
             if element.tag == "axis" and part.get("type") != "fixed":
@@ -398,8 +379,7 @@ def _shapes(
         frame = link.get("name", "")
         for whole in link.findall(tag):
             part = whole.find("geometry/*")
-            if part is None:
-                continue
+            assert part is not None  # which was checked
             kind: Any = part.tag
             file = part.get("filename", "")
             mesh = find_mesh(file, path, package_dirs) if kind == "mesh" else None
