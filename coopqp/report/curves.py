@@ -285,16 +285,21 @@ class Chart:
         lines: Lines,
         shown: Window,
         *levels: Json,
-        allowed: tuple[float, float] = (-np.inf, np.inf),
+        lower: tuple[float, str] = (-np.inf, ""),
+        upper: tuple[float, str] = (np.inf, ""),
         log: bool = False,
         steps: bool = False,
         rows: slice = ALWAYS,
         extra: Iterable[Json] = (),
-        notes: tuple[str, ...] = (),
+        noted: str | None = None,
     ) -> Figure:
-        """Lines at some rows of the trace; hatched beyond the two heights that are allowed."""
-        t = self.any.t[rows]
-        hatched = [(shown.bottom, allowed[0]), (allowed[1], shown.top)]
+        """Lines at some rows of the trace; hatched beyond a lower and an upper bound, with names.
+
+        Notes tell of lines that leave the chart if their unit is ``noted``.
+        """
+        t, ends = self.any.t[rows], ((lower, False), (upper, True))
+        bounds = [level(*of, above=up, log=log) for of, up in ends if math.isfinite(of[0])]
+        hatched = [(shown.bottom, lower[0]), (upper[0], shown.top)]
         x = [0.0, self.end, self.end, 0.0, 0.0]
         data = [HATCHED | {"x": x, "y": [a, a, b, b, a]} for a, b in hatched if a < b]
         for name, y in lines.items():
@@ -304,8 +309,8 @@ class Chart:
             title=title,
             unit=f"{unit}, log scale" if log else unit,
             data=[*data, *extra],
-            layout=self.layout(axis, *levels),
-            notes=notes,
+            layout=self.layout(axis, *bounds, *levels),
+            notes=() if noted is None else off_chart(shown, lines, noted),
         )
 
     def plain(self, title: str, unit: str, lines: Lines) -> Figure:

@@ -47,9 +47,8 @@ def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure], list[Figure
     """
     rows = joint_rows(chart.chain)
     margins = [[_min_margin(chart, i) for i in row] for row in rows]
-    margin_of_row = [min(own) for own in margins]
-    nearest = np.argsort(margin_of_row, kind="stable")[:MAX_FIRST].tolist()
-    near = [n for n in nearest if margin_of_row[n] < NEAR]
+    nearest = np.argsort([*map(min, margins)], kind="stable")[:MAX_FIRST].tolist()
+    near = [n for n in nearest if min(margins[n]) < NEAR]
     decisive, others = near[:1], near[1:] or nearest[: not near]
     rest = [n for n in range(len(rows)) if n not in (*decisive, *others)]
     parts = (decisive, sorted(others), rest)
@@ -111,20 +110,15 @@ def _joint(chart: Chart, i: int) -> Figure:
     lower, upper = limits = float(chart.any.lower[i]), float(chart.any.upper[i])
     lines = _joint_lines(chart, i)
     shown = joint_window(lower, upper, list(lines.values()))
-    levels = [
-        curves.level(bound, f"{side} limit {bound:.3g}", above=side == "upper")
-        for side, bound in (("lower", lower), ("upper", upper))
-        if np.isfinite(bound)
-    ]
     return chart.figure(
         chart.any.joints[i],
-        unit if levels else f"{unit}, no limits",
+        unit if np.isfinite(limits).any() else f"{unit}, no limits",
         lines,
         shown,
-        *levels,
-        allowed=limits,
+        lower=(lower, f"lower limit {lower:.3g}"),
+        upper=(upper, f"upper limit {upper:.3g}"),
         extra=joined(*(_marks(chart, name, y, limits, shown) for name, y in lines.items())),
-        notes=curves.off_chart(shown, lines, unit),
+        noted=unit,
     )
 
 
@@ -196,9 +190,8 @@ def _margin(chart: Chart, unit: str) -> Figure:
         f"{unit}, negative beyond the limit",
         lines,
         shown,
-        curves.level(0.0, "limit", above=False),
-        allowed=(0.0, np.inf),
-        notes=curves.off_chart(shown, lines, unit),
+        lower=(0.0, "limit"),
+        noted=unit,
     )
 
 
@@ -209,8 +202,8 @@ def _criterion(chart: Chart) -> list[Figure]:
         return []
     top = MAX_CRITERION * min(float(y.max()) for y in lines.values())
     shown = Window(0.0, curves.window(0.0, top / MAX_CRITERION, list(lines.values()), top).top)
-    unit, notes = "1, smaller is farther from limits on the whole", curves.off_chart(shown, lines)
-    return [chart.figure("Joint-limit criterion φ", unit, lines, shown, notes=notes)]
+    unit = "1, smaller is farther from limits on the whole"
+    return [chart.figure("Joint-limit criterion φ", unit, lines, shown, noted="")]
 
 
 def _shares(chart: Chart, title: str, what: str, lines: Lines, bound: str) -> Figure:
@@ -219,10 +212,8 @@ def _shares(chart: Chart, title: str, what: str, lines: Lines, bound: str) -> Fi
     log = high > LOG_SHARE
     shown = Window(MIN_SHARE, 3.0 * high) if log else Window(0.0, max(1.25, 1.1 * high))
     lines = {name: np.maximum(y, MIN_SHARE) for name, y in lines.items()} if log else lines
-    level, allowed = curves.level(1.0, bound, log=log), (-np.inf, 1.0)
-    return chart.figure(
-        title, f"share of {what}", lines, shown, level, allowed=allowed, log=log, steps=True
-    )
+    unit = f"share of {what}"
+    return chart.figure(title, unit, lines, shown, upper=(1.0, bound), log=log, steps=True)
 
 
 def hands(chart: Chart) -> list[Figure]:
@@ -288,10 +279,9 @@ def _torque(chart: Chart, i: int) -> Figure:
     )
     if not np.isfinite(limit):
         return chart.plain(f"{what} of {joint}", f"{unit}, no limit", lines)
-    lower = curves.level(-limit, f"-{limit:.3g}", above=False)
-    upper, allowed = curves.level(limit, f"{limit:.3g}"), (-limit, limit)
+    lower, upper = (-limit, f"-{limit:.3g}"), (limit, f"{limit:.3g}")
     shown = Window(-1.15 * limit, 1.15 * limit)
-    return chart.figure(f"{what} of {joint}", unit, lines, shown, lower, upper, allowed=allowed)
+    return chart.figure(f"{what} of {joint}", unit, lines, shown, lower=lower, upper=upper)
 
 
 def _with_signal(chart: Chart, signal: str, of: Callable[[Trace], Array | None]) -> Lines:
@@ -335,5 +325,4 @@ def _load(trace: Trace) -> Array:
 def _up_to_one(chart: Chart, title: str, beyond: str, lines: Lines) -> Figure:
     """A share that must stay below 1, and what happens beyond."""
     lines = {name: np.minimum(line, MAX_USE) for name, line in lines.items()}
-    level = curves.level(1.0, beyond)
-    return chart.figure(title, "1", lines, Window(0.0, MAX_USE), level, allowed=(-1.0, 1.0))
+    return chart.figure(title, "1", lines, Window(0.0, MAX_USE), upper=(1.0, beyond))

@@ -195,9 +195,8 @@ def _figure(chart: Chart, quantity: Quantity) -> Figure:
     low = max(low - 0.5 * missing, quantity.floor)
     high = max(high + 0.5 * missing, low + quantity.min_height)
     shown = curves.window(low, high, list(lines.values()), REACH * (high - low))
-    extra = [line for target in wanted for line in _drawn(chart, target)]
-    notes = curves.off_chart(shown, lines, quantity.unit)
-    return chart.figure(quantity.title, quantity.unit, lines, shown, extra=extra, notes=notes)
+    extra, unit = [line for target in wanted for line in _drawn(chart, target)], quantity.unit
+    return chart.figure(quantity.title, unit, lines, shown, extra=extra, noted=unit)
 
 
 def _drawn(chart: Chart, target: Target) -> list[Json]:
