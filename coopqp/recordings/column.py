@@ -21,7 +21,6 @@ from coopqp.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 """By name; all have as many rows."""
-UnitOf = Callable[[str], str]
 Units = Mapping[str, str]
 """Of joints, and of tasks, their parts and rows, by name."""
 
@@ -151,8 +150,8 @@ def _push(trace: Trace) -> Any:
 
 
 def _commanded(trace: Trace) -> Any:
-    as_told = np.array_equal(trace.commanded, trace.q[:-1])
-    return np.full(trace.v.shape, np.nan) if as_told else trace.commanded
+    same = np.array_equal(trace.commanded, trace.q[:-1])
+    return np.full(trace.v.shape, np.nan) if same else trace.commanded
 
 
 def _inputs(*keys: str) -> Callable[[Trace], Any]:
@@ -189,7 +188,7 @@ class Field:
     # plant's signal of its name if omitted
     of: Callable[[Trace], Any] | None = None
     kind: Literal["number", "text", "whole"] = "number"
-    beside: bool = False  # whether its columns stand beside those of the line before, key by key
+    interleaved: bool = False  # whether its columns alternate with the line before's, key by key
 
     def groups(self, layout: Layout) -> list[list[str]]:
         """Names of its columns, in a list for each key."""
@@ -225,9 +224,9 @@ TABLE: tuple[Field, ...] = (
     Field("input", SENT, "", "what arrived at an [input](signals.md) for this tick; `sent`: when "
           "it was sent [s]; empty where nothing did", of=_inputs("arrived", "sent")),
     Field("followed", VALUE, "", "what the limiter made of it, which the tasks follow; a rotation "
-          "as the quaternion qx, qy, qz, qw", of=_inputs("value"), beside=True),
+          "as the quaternion qx, qy, qz, qw", of=_inputs("value"), interleaved=True),
     Field("followed_rate", RATE, "", "how fast that moves; of a rotation the angular velocity",
-          of=_inputs("rate"), beside=True),
+          of=_inputs("rate"), interleaved=True),
     Field("tau", MOTOR, "{}", "torques of the motors",
           of=lambda trace: trace.signals.get("tau", np.full(trace.v.shape, np.nan))),
     Field("position", XYZ, "m", "the object's position", "instant"),
@@ -244,7 +243,7 @@ TABLE: tuple[Field, ...] = (
           "where it is broken",
           of=lambda trace: np.array([left.min(axis=0) for _, left in _margins(trace)]).T),
     Field("nearest", LIMIT, "", "where that is, such as `RElbowRoll (upper)`",
-          of=_nearest, kind="text", beside=True),
+          of=_nearest, kind="text", interleaved=True),
     Field("push", PUSH, "{}", "what pushes the object at the tick's end, where something does in "
           "the run, world axes", of=_push),
     Field("hand_wrench", HAND_WRENCH, "{}", "what each hand did to the object at the tick's end, "
@@ -274,7 +273,7 @@ def names(layout: Layout, fields: Collection[str] | None = None) -> list[str]:
     """All columns in their order."""
     found: list[list[list[str]]] = []
     for line in TABLE:
-        if not line.beside:
+        if not line.interleaved:
             found.append([])
         if fields is None or line.name in fields:
             groups = line.groups(layout)
@@ -350,10 +349,15 @@ def cells(values: NDArray[Any]) -> list[Any]:
     return found
 
 
-def unit_of(scenario: Scenario) -> UnitOf:
+def unit_of(scenario: Scenario) -> Callable[[str], str]:
     """A function from a column to its unit; "" where it has none, or nobody knows it."""
     chain = scenario.chain
-    units = dict(zip(chain.joint_names, chain.joint_units, strict=True)) | _asked(scenario)
+    units = dict(zip(chain.joint_names, chain.joint_units, strict=True))
+    for phase in scenario.schedule:  # and of each part and each row of all tasks
+        begin = f"{phase.name}." if scenario.phases else ""
+        rows = rows_of(phase.tasks, chain)
+        for part, own in parts_of(phase.tasks, chain):
+            units |= {begin + name: part.unit for name in (part.name, *rows[own])}
 
     def unit(column: str) -> str:
         line = field_of(column)
@@ -363,14 +367,3 @@ def unit_of(scenario: Scenario) -> UnitOf:
         return line.unit.format(line.shape.unit(units, key, part))
 
     return unit
-
-
-def _asked(scenario: Scenario) -> dict[str, str]:
-    """Unit of each part and each row of all tasks, by their names in the trace."""
-    found: dict[str, str] = {}
-    for phase in scenario.schedule:
-        begin = f"{phase.name}." if scenario.phases else ""
-        rows = rows_of(phase.tasks, scenario.chain)
-        for part, own in parts_of(phase.tasks, scenario.chain):
-            found |= {begin + name: part.unit for name in (part.name, *rows[own])}
-    return found

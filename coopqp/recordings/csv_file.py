@@ -101,9 +101,7 @@ def _check_ticks(run: Run) -> None:
     for name in run.controllers:
         own = run.columns["controller"] == name
         needed[own] = np.arange(own.sum())
-    wrong = np.flatnonzero(ticks != needed)
-    if len(wrong):
-        k = int(wrong[0])
+    for k in np.flatnonzero(ticks != needed)[:1].tolist():
         raise run.fault(k, f"tick: found {ticks[k]}, needs {needed[k]}")
 
 

@@ -60,11 +60,11 @@ class Joints(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A frame in the world: its origin [m] and its orientation as a quaternion (x, y, z, w)."""
+    """A frame in the world: its origin [m] and its orientation as a quaternion, by x, y, z, w."""
 
     name: str
-    p: list[float]
-    q: list[float]
+    p: dict[str, float]
+    q: dict[str, float]
 
 
 class Remark(NamedTuple):
@@ -143,7 +143,9 @@ def _frames(chain: ClosedChain) -> list[tuple[str, int]]:
 
 
 def _placed(name: str, R: Array, p: Array) -> Placed:
-    return Placed(name, p.tolist(), pin.Quaternion(R).normalized().coeffs().tolist())
+    turned = pin.Quaternion(R).normalized().coeffs().tolist()
+    by_axis = (dict(zip("xyzw", numbers, strict=False)) for numbers in (p.tolist(), turned))
+    return Placed(name, *by_axis)
 
 
 def _joints(run: Run, names: tuple[str, ...]) -> dict[str, list[Joints]]:
@@ -182,9 +184,9 @@ class _Remarks:
 
     def of(self, k: int) -> Iterator[Remark]:
         causes = causes_of(self._status[k]) if self._status[k] else ()
-        level = max((level_of(cause) for cause in causes), default=0)
-        said = "; ".join(cause.value for cause in causes) or "the end"
-        yield Remark("law", level, said, self._values(k, ["status", "scale", "tick_us"]))
+        level = max(map(level_of, causes), default=0)
+        words = "; ".join(cause.value for cause in causes) or "the end"
+        yield Remark("law", level, words, self._values(k, ["status", "scale", "tick_us"]))
         yield Remark("loops", 0, "", self._values(k, ["loop_position", "loop_orientation"]))
         yield Remark("tasks", 0, "", self._values(k, self._of_tasks))
         for owner, names in self._limits.items():
@@ -193,17 +195,15 @@ class _Remarks:
 
     def _limit(self, k: int, owner: str, names: list[str]) -> Remark:
         """The least margin of a limit, in each of its units."""
-        level, said = 0, []
-        shown = list(names)
+        level, texts, shown = 0, list[str](), list(names)
         for name in names:
             left = self._cells[name][k]
-            where = column.joined(("nearest", *column.split(name)[1:]))
-            shown.append(where)
-            level = max(level, 2 if left < BROKEN else int(left <= AT))
+            shown.append(where := column.joined(("nearest", *column.split(name)[1:])))
             if left <= AT:
+                level = max(level, 1 + (left < BROKEN))
                 at = self._cells[where][k] if where in self._cells else None
-                said.append(f"{'beyond' if left < BROKEN else 'at'} {at or ''}")
-        return Remark(f"limit {owner}", level, "; ".join(said), self._values(k, shown))
+                texts.append(f"{'beyond' if left < BROKEN else 'at'} {at or ''}")
+        return Remark(f"limit {owner}", level, "; ".join(texts), self._values(k, shown))
 
     def _values(self, k: int, names: list[str]) -> dict[str, str]:
         """Values with their units in their names, empty ones left out."""
@@ -213,9 +213,7 @@ class _Remarks:
 
 def level_of(cause: Status) -> int:
     """0 all is well, 1 something was given up or is to be known, 2 the arms stood still."""
-    if not cause.usable:
-        return 2
-    return 0 if cause is Status.OPTIMAL else 1
+    return 2 if not cause.usable else int(cause is not Status.OPTIMAL)
 
 
 LOG, ATTACHED = "/log", "scenario.yaml"
@@ -271,7 +269,7 @@ class _Messages:
     def __init__(self, writer: Any, messages: Any, controller: str) -> None:
         self._writer, self._of, self._name = writer, messages, controller
         self._channels: dict[str, int] = {}
-        self._said: dict[str, tuple[int, str]] = {}
+        self._logged: dict[str, tuple[int, str]] = {}  # level and words, by what they are about
 
     def log(self, instant: Instant) -> None:
         of, ns = self._of, instant.ns
@@ -285,8 +283,7 @@ class _Messages:
             self._write(topic, ns, of.JointStates(timestamp=stamp, joints=states))
         frames = []
         for placed in instant.frames:
-            p = of.Vector3(**dict(zip("xyz", placed.p, strict=True)))
-            R = of.Quaternion(**dict(zip("xyzw", placed.q, strict=True)))
+            p, R = of.Vector3(**placed.p), of.Quaternion(**placed.q)
             between = {"parent_frame_id": WORLD, "child_frame_id": placed.name}
             frames.append(of.FrameTransform(timestamp=stamp, translation=p, rotation=R, **between))
         self._write(TF, ns, of.FrameTransforms(transforms=frames))
@@ -294,10 +291,10 @@ class _Messages:
         self._write(POSE, ns, of.PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose))
         levels = of.LogLevel.Info, of.LogLevel.Warning, of.LogLevel.Error
         for about, level, words, _ in instant.remarks:
-            if (level, words) != self._said.get(about, (0, "")):
-                self._said[about] = level, words
-                told = {"message": f"{about}: {words or 'free again'}", "name": self._name}
-                self._write(LOG, ns, of.Log(timestamp=stamp, level=levels[level], **told))
+            if (level, words) != self._logged.get(about, (0, "")):
+                self._logged[about] = level, words
+                text = {"message": f"{about}: {words or 'free again'}", "name": self._name}
+                self._write(LOG, ns, of.Log(timestamp=stamp, level=levels[level], **text))
         if TICK not in self._channels:
             schema = json.dumps({"title": "coopqp.Tick", **_schema(instant.row)}).encode("utf-8")
             self._open(TICK, "json", "coopqp.Tick", "jsonschema", schema)
@@ -372,10 +369,8 @@ def _strings(path: Path, topic: str) -> Iterator[str]:
         from rosbags.rosbag2 import Reader
     types = _types()
     with readable(path), Reader(path) as reader:
-        asked = [found for found in reader.connections if found.topic == topic]
-        if not asked:
-            return
-        for connection, _, data in reader.messages(asked):
+        own = [connection for connection in reader.connections if connection.topic == topic]
+        for connection, _, data in reader.messages(own) if own else ():
             yield types.deserialize_cdr(data, connection.msgtype).data
 
 
@@ -402,14 +397,13 @@ class _Bag:
             self.write(topic, kind, ns, header=nameless, name=list(names), **dict(fields))
         frames = []
         for placed in instant.frames:
-            p = Message(**dict(zip("xyz", placed.p, strict=True)))
-            R = Message(**dict(zip("xyzw", placed.q, strict=True)))
+            p, R = Message(**placed.p), Message(**placed.q)
             way = Message(translation=p, rotation=R)
             frames.append(Message(header=head, child_frame_id=placed.name, transform=way))
         self.write(TF, "tf2_msgs/msg/TFMessage", ns, transforms=frames)
         pose = Message(position=p, orientation=R)  # of the last, the object
         self.write(POSE, "geometry_msgs/msg/PoseStamped", ns, header=head, pose=pose)
-        said = [
+        statuses = [
             Message(
                 level=remark.level,
                 name=f"{self._controller}: {remark.about}",
@@ -420,5 +414,5 @@ class _Bag:
             for remark in instant.remarks
         ]
         kind = "diagnostic_msgs/msg/DiagnosticArray"
-        self.write(DIAGNOSTICS, kind, ns, header=head, status=said)
+        self.write(DIAGNOSTICS, kind, ns, header=head, status=statuses)
         self.write(TICK, STRING, ns, data=json.dumps(instant.row))

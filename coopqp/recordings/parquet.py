@@ -188,15 +188,11 @@ class Lerobot(ExportFormat):
         task, count = scenario.description or scenario.name, len(numbers["index"])
         stats, features, columns = dict[str, Any](), dict[str, Any](), dict[str, Any]()
         for key, x in numbers.items():
-            wide, stats[key] = x.ndim > 1, _stats(x.reshape(count, -1).astype(float))
-            shape = [len(names) if wide else 1]
-            features[key] = {
-                "dtype": str(x.dtype),
-                "shape": shape,
-                "names": names if wide else None,
-            }
-            kind = pa.list_(pa.float32(), len(names)) if wide else None
-            columns[key] = pa.array(list(x) if wide else x, kind)
+            own = names if x.ndim > 1 else None
+            stats[key] = _stats(x.reshape(count, -1).astype(float))
+            features[key] = {"dtype": str(x.dtype), "shape": [len(own or "1")], "names": own}
+            kind = pa.list_(pa.float32(), len(own)) if own else None
+            columns[key] = pa.array(list(x) if own else x, kind)
         pq.write_table(pa.table(columns), path / "data" / FIRST)
         pq.write_table(_tasks(task), path / "meta" / "tasks.parquet")
         pq.write_table(pa.table(_episode(task, count, stats)), path / "meta" / "episodes" / FIRST)
@@ -227,13 +223,13 @@ def _frames(run: Run, scenario: Scenario) -> tuple[list[str], dict[str, NDArray[
     if off > ROUNDING:
         words = f"time is up to {off:.3g} s off one tick each {scenario.dt:g} s"
         raise CoopqpError(f"{run.path}: {words}, and a dataset of LeRobot has one rate")
-    q, told, seen, v = (
+    q, commanded, measured, v = (
         ticks.joints(name, robot.joint_names, empty=name in ("commanded", "measured"))
         for name in ("q", "commanded", "measured", "v")
     )
-    goal = np.where(np.isnan(told), q, told) + scenario.dt * v
+    goal = np.where(np.isnan(commanded), q, commanded) + scenario.dt * v
     at, grips = _columns(ticks, scenario)
-    state = np.where(np.isnan(seen), q, seen)
+    state = np.where(np.isnan(measured), q, measured)
     scale = np.array([1.0 if unit == "m" else 180.0 / np.pi for unit in robot.joint_units])
     found: dict[str, NDArray[Any]] = {
         key: np.hstack([x * scale, grips])[:, [*at.values()]].astype(np.float32)
@@ -263,10 +259,9 @@ def _key(joint: str) -> str:
 
 def _stats(x: Array) -> dict[str, list[float]]:
     """What LeRobot keeps of numbers, shape (T, k)."""
-    found = {"min": x.min(axis=0), "max": x.max(axis=0), "mean": x.mean(axis=0)}
-    found |= {"std": x.std(axis=0), "count": np.array([len(x)])}
-    found |= {f"q{part:02d}": np.percentile(x, part, axis=0) for part in QUANTILES}
-    return {name: values.tolist() for name, values in found.items()}
+    found = {name: getattr(x, name)(axis=0).tolist() for name in ("min", "max", "mean", "std")}
+    quantiles = {f"q{part:02d}": np.percentile(x, part, axis=0).tolist() for part in QUANTILES}
+    return found | {"count": [len(x)]} | quantiles
 
 
 def _episode(task: str, count: int, stats: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

@@ -33,7 +33,7 @@ FARTHEST = 1e12
 #: Times of two phases that are the same may differ by this [s].
 ROUNDING = 1e-9
 #: More ticks than any run has.
-MOST = 2**53
+MAX_TICKS = 2**53
 #: After what a live loop's time stands still.
 _STANDS = {status.name for status in STANDS}
 OTHER = "the trace is damaged, or it is of another scenario than the one beside it: run it again"
@@ -139,7 +139,7 @@ def typed(name: str, values: Any, at: str, rows: NDArray[np.int64]) -> NDArray[A
         raise InvalidValueError(f"{at}{rows[k]}: {words}; the trace is damaged") from None
     if kind == "number":
         return numbers
-    for k in np.flatnonzero(~((numbers >= 0) & (numbers < MOST) & (numbers % 1 == 0)))[:1]:
+    for k in np.flatnonzero(~((numbers >= 0) & (numbers < MAX_TICKS) & (numbers % 1 == 0)))[:1]:
         words = f"{name}: found {numbers[k]:g}, needs a whole number"
         raise InvalidValueError(f"{at}{rows[k]}: {words}")
     return numbers.astype(np.int64)

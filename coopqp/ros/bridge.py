@@ -263,7 +263,7 @@ class Bridge:
         self._refused: dict[str, str] = {}
         self._distance, self._is_new = np.zeros(loop.problem.chain.n), False
         self._causes: dict[Status, None] = {}
-        self._told: tuple[str | Why, ...] = ()
+        self._note: tuple[str | Why, ...] = ()
         self._reported_at = -np.inf
 
     def take(self, name: str, message: Any) -> None:
@@ -311,7 +311,7 @@ class Bridge:
             turned = pin.Quaternion(state.R_WO).coeffs()
             self._transport.place(state.p_WO.tolist(), turned.tolist())
         self._causes |= dict.fromkeys(command.causes)
-        self._told = command.told or self._told
+        self._note = command.told or self._note
         if self._loop.now - self._reported_at >= settings.diagnostics_every:
             self.say()
 
@@ -326,7 +326,7 @@ class Bridge:
         silence = self._states.silence(self._reported_at) or self._states.wrong
         refused = self._refused.pop("", "")
         remarks = [self._loop_remark(why), *(_limits(loop) if loop.begun else ())]
-        self._causes, self._told = {}, ()
+        self._causes, self._note = {}, ()
         words = "; ".join(filter(None, (silence, refused)))
         level = 2 if silence else int(bool(refused))
         remarks.append(Remark("joint states", level, words, {}))
@@ -343,7 +343,7 @@ class Bridge:
             causes = [cause for cause in causes if cause is not Status.OPTIMAL]
         levels = [2 if cause in STANDS else level_of(cause) for cause in causes]
         stopped = why or loop.stopped
-        texts = [*(cause.value for cause in causes), note_of(self._told), stopped]
+        texts = [*(cause.value for cause in causes), note_of(self._note), stopped]
         texts = [x for i, x in enumerate(texts) if not any(x in other for other in texts[i + 1 :])]
         values = {
             "status": written(causes) if causes else "",

@@ -69,10 +69,6 @@ class Topics:
         """By the clock of stamps [ns]."""
         return int(self._node.get_clock().now().nanoseconds)
 
-    def seconds(self) -> float:
-        """The same in seconds."""
-        return 1e-9 * self.now()
-
     def command(self, controller: str, q: list[float], v: list[float]) -> None:
         """Send positions at the end of the period [rad, m], or velocities until then."""
         if self._settings.command == "trajectory":
@@ -140,7 +136,7 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         kinds = kinds_of(scenario)
         topics = Topics(node, settings, joints, scenario.dt)
         if topics.simulated:
-            options["clock"] = topics.seconds
+            options["clock"] = lambda: 1e-9 * topics.now()
         loop = OnlineLoop(scenario, settings.law, out=settings.out or None, **options)
         if loop.by_torques:
             words = "commands torques; ros2_control is sent velocities or positions, such as qp's"

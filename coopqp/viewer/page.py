@@ -59,10 +59,10 @@ def serve(peer: Peer, setup: PageSetup, host: str, port: int, allowed: Sequence[
     """Serve the page until the player ends; to pages of ``allowed`` origins, too."""
     import viser
 
-    asked = guard(host, allowed)
+    guarded = guard(host, allowed)
     server = viser.ViserServer(host=host, port=port, label="coopqp play", verbose=False)
     used = server.get_port()
-    if not asked:
+    if not guarded:
         peer.send(f"viser {viser.__version__} cannot be kept from foreign pages; install 1.1")
         return
     if port and used != port:  # somebody was faster
@@ -294,14 +294,9 @@ def css(color: Rgb) -> str:
 
 def view(setup: PageSetup) -> tuple[Array, Array]:
     """Target and position of the camera at first, beside the longer horizontal edge, (3,) [m]."""
-    aside = BESIDE if _longer_along_x(setup) else BEFORE
-    middle = 0.5 * (setup.low + setup.high)
-    return middle, middle + float(np.linalg.norm(setup.high - setup.low)) * np.array(aside)
-
-
-def _longer_along_x(setup: PageSetup) -> bool:
-    x, y, _ = setup.high - setup.low
-    return bool(x > y)
+    size = setup.high - setup.low
+    middle, aside = 0.5 * (setup.low + setup.high), BESIDE if size[0] > size[1] else BEFORE
+    return middle, middle + float(np.linalg.norm(size)) * np.array(aside)
 
 
 class Scene:
@@ -338,8 +333,9 @@ class Scene:
 
     def arrange(self, how: str, main: int) -> None:
         """Choose what is visible: one, overlaid or apart; the main controller alone with "one"."""
-        across = np.array([1.0, 0.0, 0.0] if _longer_along_x(self._setup) else [0.0, -1.0, 0.0])
-        width = SPACED * float(np.abs(across) @ (self._setup.high - self._setup.low))
+        size = self._setup.high - self._setup.low
+        across = np.array([1.0, 0.0, 0.0] if size[0] > size[1] else [0.0, -1.0, 0.0])
+        width = SPACED * float(np.abs(across) @ size)
         for i, drawn in enumerate(self._drawn):
             drawn.place(
                 shown=how != "one" or i == main,
@@ -441,11 +437,10 @@ class _Controller:
             self.place(shown=drawn is not None, ghost=True, shift=nothing, draggable=False)
             for body, node in zip(self._bodies, self._links, strict=True):
                 node.visible = body.joint > 0
-        if drawn is not None:
-            self.draw(drawn)
+        self.draw(drawn)
 
-    def draw(self, drawn: ControllerFrame) -> None:
-        if not self._shown:
+    def draw(self, drawn: ControllerFrame | None) -> None:
+        if not self._shown or drawn is None:
             return
         _move(self._held, drawn.held)
         for k, (body, node) in enumerate(zip(self._bodies, self._links, strict=True)):

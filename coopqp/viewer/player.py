@@ -66,7 +66,7 @@ class Player:
         self.recording = Recording(self._read, self._steered, self._names, self._values)
         self.explanation, self._changed, self.note = messages.Explanation(), False, ""
         self.way_round: messages.WayRound | None = None  # where the arms are stuck, if known
-        self._asked: object = None
+        self._planned_for: object = None  # the goals of the last search for a way round
         self._ghost = 0
         self.tick()
 
@@ -180,11 +180,11 @@ class Player:
         if not self.explanation.blocked or controller.follows or not controller.at_targets:
             return False
         slow = np.abs(controller.state.v).max(initial=0.0) < STUCK
-        return bool(slow) and self._asked != self._goals()
+        return bool(slow) and self._planned_for != self._goals()
 
     def ask_way(self) -> messages.Snapshot:
         """The state from which a way round is looked for."""
-        self._asked, self.way_round = self._goals(), None
+        self._planned_for, self.way_round = self._goals(), None
         return self.snapshot()
 
     def _goals(self) -> object:
@@ -195,8 +195,8 @@ class Player:
 
     def _offered(self) -> Way | None:
         """The way round that can be followed now."""
-        if self._controller.follows or self._asked != self._goals():
-            self._asked, self.way_round = None, None
+        if self._controller.follows or self._planned_for != self._goals():
+            self._planned_for, self.way_round = None, None
         return self.way_round.way if self.way_round else None
 
     def _follow(self) -> None:
@@ -255,9 +255,8 @@ class Player:
                 now = float(channel.value[i])
                 low, high = self._range(name, channel.kind, i)
                 low, high = min(low, now), max(high, now)
-                knobs.append(
-                    messages.Dial((name, i), name, column, low, high, (high - low) / 200.0, now)
-                )
+                step = (high - low) / 200.0
+                knobs.append(messages.Dial((name, i), name, column, low, high, step, now))
         return knobs
 
     def _range(self, name: str, kind: Kind, i: int) -> tuple[float, float]:
@@ -281,19 +280,17 @@ class Player:
         if action.what == "drag" and isinstance(which, int) and which < len(self._handles):
             self._send(self._handles[which], value)
         elif action.what == "carry" and len(value) == 3:
-            gizmos = ((handle, handle.gizmo) for handle in self._handles)
-            movable = (h for h, g in gizmos if g.phase == controller.run.index and g.moves)
-            if handle := next(movable, None):
+            now = (h for h in self._handles if h.gizmo.phase == controller.run.index)
+            if handle := next((h for h in now if h.gizmo.moves), None):
                 self._send(handle, handle.carried(value, targets, controller.state).tolist())
         elif action.what == "dial" and which in self._dials and value:
             dial = self._dials[which]
             self._values[dial.key] = float(np.clip(value[0], dial.low, dial.high))
             self._changed = True
         elif action.what == "knob" and value:
-            for name, column in (
-                k.key for k in self._knobs if k.key == which and k.group in targets
-            ):
-                self._hands.setdefault(name, targets[name].tolist())[column] = value[0]
+            for name, column in (k.key for k in self._knobs if k.key == which):
+                if name in targets:
+                    self._hands.setdefault(name, targets[name].tolist())[column] = value[0]
 
     def _send(self, handle: Handle, pose: Sequence[float]) -> None:
         if len(pose) == 7 and 0.5 < np.linalg.norm(pose[3:]) < 2.0:
@@ -336,7 +333,7 @@ class Player:
         if controller.follows:
             return "moving", _sentence("on the way round", drawn.words)
         if self.explanation.blocked:
-            way = "looking for a way round" if self._asked else ""
+            way = "looking for a way round" if self._planned_for else ""
             way = self.way_round.sentence if self.way_round else way
             return "blocked", _sentence(self.explanation.sentence, way)
         if not self.has_explainer:

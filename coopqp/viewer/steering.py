@@ -231,8 +231,7 @@ class Handle:
             if kind.axis:
                 yield field.name, Trajectory(kind, np.array(turn)).R[:, 2].tolist()
             else:
-                numbers = place if kind.numbers else []
-                yield field.name, numbers + (turn if kind.turns else [])
+                yield field.name, place * bool(kind.numbers) + turn * kind.turns
 
     def carried(self, place: Sequence[float], targets: Mapping[str, Array], state: State) -> Array:
         """The pose for which the object's origin goes to a place, turned as before."""
@@ -395,7 +394,10 @@ class Recording:
         inputs = dict(data.get("inputs") or {})
         for field in self._steered:
             if field.start and field.phase < len(phases):
-                _follow(phases[field.phase]["tasks"][field.task], field)
+                (fields,) = phases[field.phase]["tasks"][field.task].values()
+                for other in ("rpy", "rpy_deg") if field.kind is ROTATION else ():
+                    fields.pop(other, None)
+                fields[field.field] = {"input": {"name": field.name, "start": list(field.start)}}
                 inputs.setdefault(field.name, input_limits(scenario))
         base = Path() if scenario.folder is None else folder.resolve()
         paths = {name: str(base / FOLDER / file) for name, file in names.items()}
@@ -408,12 +410,11 @@ class Recording:
 
     def _phases(self, data: dict[str, Any]) -> list[dict[str, Any]]:
         """Put the phases that were played into the mapping, with their durations."""
-        given_phases, phases = data.get("phases", [data]), []
-        played = zip(given_phases, self._scenario.schedule, self.ticks, strict=False)
-        for given, phase, ticks in played:
+        phases, schedule = [], self._scenario.schedule
+        for given, phase, n in zip(data.get("phases", [data]), schedule, self.ticks, strict=False):
             end = max((task.end for task in phase.tasks), default=0.0)
             tasks = [*map(_spelled, given["tasks"])]
-            phases.append(given | {"duration": max(ticks * self._scenario.dt, end), "tasks": tasks})
+            phases.append(given | {"duration": max(n * self._scenario.dt, end), "tasks": tasks})
         data |= {"phases": phases} if "phases" in data else phases[0]
         return phases
 
@@ -423,11 +424,3 @@ def _spelled(slot: Any) -> dict[str, Any]:
         return {slot: {}}
     ((name, fields),) = slot.items()
     return {name: dict(fields or {})}
-
-
-def _follow(slot: dict[str, Any], field: SteeredField) -> None:
-    (fields,) = slot.values()
-    if field.kind.turns and not field.kind.numbers and not field.kind.axis:
-        fields.pop("rpy", None)
-        fields.pop("rpy_deg", None)
-    fields[field.field] = {"input": {"name": field.name, "start": list(field.start or ())}}
