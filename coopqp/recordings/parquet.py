@@ -14,7 +14,7 @@ which LeRobot does not look at.
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -86,10 +86,13 @@ class ArrowStream(Format):
 
     def read(self, path: Path) -> Run:
         with open_bytes(path) as stream:
-            reader = _opened(path, stream)
+            reader, batches = _opened(path, stream), []
             import pyarrow as pa
 
-            batches = list(_whole(reader))
+            with suppress(pa.ArrowInvalid, OSError):  # what follows is not whole
+                for batch in reader:
+                    batch.validate(full=True)
+                    batches.append(batch)
             return _run(path, pa.Table.from_batches(batches, reader.schema))
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
@@ -133,25 +136,11 @@ def _opened(path: Path, stream: Any) -> Any:
         return pa.ipc.open_stream(stream)
 
 
-def _whole(reader: Any) -> Iterator[Any]:
-    """The pieces up to the first that is not whole."""
-    import pyarrow as pa
-
-    while True:
-        try:
-            batch = reader.read_next_batch()
-            batch.validate(full=True)
-        except (StopIteration, pa.ArrowInvalid, OSError):
-            return
-        yield batch
-
-
 def scenario_in(path: Path, kept: dict[bytes, bytes] | None, catalog: Catalog) -> Scenario:
     """The scenario in a schema's metadata."""
-    if SCENARIO not in (kept or {}):
+    if (text := (kept or {}).get(SCENARIO)) is None:
         raise CoopqpError(f"{path}: holds no run of coopqp: has no scenario in its metadata")
-    assert kept
-    return load_text(path, kept[SCENARIO].decode("utf-8", "replace"), catalog)
+    return load_text(path, text.decode("utf-8", "replace"), catalog)
 
 
 RUN = Path("meta", "coopqp.parquet")

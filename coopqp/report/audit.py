@@ -33,12 +33,12 @@ class Audited:
     margin: Array  # least of all its rows after each tick, shape (T,) [the row's unit]
 
     @property
-    def least(self) -> float:
+    def min_margin(self) -> float:
         return float(self.margin.min())
 
     @property
     def broken(self) -> bool:
-        return matters(-self.least, self.row.unit)
+        return matters(-self.min_margin, self.row.unit)
 
     @property
     def active(self) -> NDArray[np.bool_]:
@@ -50,22 +50,18 @@ def rows(traces: Mapping[str, Trace]) -> str:
     """Rows of the table: broken limits first, then those at the bound for longest."""
 
     def use(limit: Audited) -> tuple[bool, int, float]:
-        return not limit.broken, -int(limit.active.sum()), limit.least
+        return not limit.broken, -int(limit.active.sum()), limit.min_margin
 
     tightest = {k: sorted(limits_of(of), key=use)[:SHOWN] for k, of in audited(traces).items()}
     return "".join(_row(name, limit) for name, limits in tightest.items() for limit in limits)
 
 
 def _row(name: str, limit: Audited) -> str:
-    value, unit = length(limit.least, limit.row.unit)
+    value, unit = length(limit.min_margin, limit.row.unit)
     where = "" if limit.row.joint else f" ({limit.row.words})"
-    names = (name, limit.name + where)
-    cells = (
-        f"{'✗ ' if limit.broken else ''}{number(value)} {unit}",
-        str(int(limit.active.sum())),
-        f"{100 * limit.active.mean():.0f} %",
-    )
-    texts = [f"<td class='name'>{html.escape(text)}</td>" for text in names]
+    margin = f"{'✗ ' if limit.broken else ''}{number(value)} {unit}"
+    cells = (margin, f"{limit.active.sum()}", f"{100 * limit.active.mean():.0f} %")
+    texts = [f"<td class='name'>{html.escape(text)}</td>" for text in (name, limit.name + where)]
     texts += [f"<td>{html.escape(text)}</td>" for text in cells]
     return f"<tr>{''.join(texts)}</tr>"
 

@@ -10,7 +10,7 @@ drawn.
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -174,26 +174,21 @@ def followers(model: Any, named: Named) -> dict[str, Follower]:
     """Joints that an equality ties to another one."""
     found = {}
     for tie in np.flatnonzero((model.eq_type == JOINT_TIE) & (model.eq_active0 != 0)):
-        leader = model.eq_obj2id[tie]
-        offset, ratio = map(float, model.eq_data[tie, :2])
-        found[named.joints[model.eq_obj1id[tie]]] = Follower(
-            leader=named.joints[leader] if leader >= 0 else "", ratio=ratio, offset=offset
-        )
+        i, offset, ratio = model.eq_obj2id[tie], *map(float, model.eq_data[tie, :2])
+        leader = named.joints[i] if i >= 0 else ""
+        own = named.joints[model.eq_obj1id[tie]]
+        found[own] = Follower(leader=leader, ratio=ratio, offset=offset)
     return found
 
 
 def floating(model: Any, named: Named) -> dict[str, frozenset[str]]:
     """Free joints, and the names of all that each moves."""
     root, found = model.body_rootid, {}
+    names = [*named.bodies, *named.joints, *named.sites]
+    bodies = np.concatenate([np.arange(model.nbody), model.jnt_bodyid, model.site_bodyid])
     for joint in np.flatnonzero(model.jnt_type == FREE):
-        body, moved = model.jnt_bodyid[joint], set[str]()
-        for names, bodies in (
-            (named.bodies, np.arange(model.nbody)),
-            (named.joints, model.jnt_bodyid),
-            (named.sites, model.site_bodyid),
-        ):
-            moved.update(names[i] for i in np.flatnonzero(root[bodies] == body))
-        found[named.joints[joint]] = frozenset(moved)
+        moved = np.flatnonzero(root[bodies] == model.jnt_bodyid[joint])
+        found[named.joints[joint]] = frozenset(names[i] for i in moved)
     return found
 
 
@@ -338,17 +333,18 @@ class Geoms:
             if file is None or not os.path.isfile(file)
         ]
         rows = [row_of(form.geom, model.geom) for form in self._light]
-        light = dict.fromkeys(named.geoms[row] for row in rows)
-        seen = {shape.frame for shape in drawn}
+        visible = {shape.frame for shape in drawn}
         there = [shape for shape in collide if shape.mesh is None or os.path.isfile(shape.mesh)]
-        hidden = dict.fromkeys(shape.frame for shape in there if shape.frame not in seen)
+        hidden = (shape.frame for shape in there if shape.frame not in visible)
         found = [*missing_meshes(self._path.name, missing, len(self._files))]
-        if light:
-            words = "lack the mass of meshes that are not read; give <inertial>"
-            found.append(f"{self._path.name}: {len(light)} bodies {words} ({_first(light)})")
-        if hidden:
-            words = "are not drawn as they are, since all their geoms are of groups above 2"
-            found.append(f"{self._path.name}: {len(hidden)} bodies {words} ({_first(hidden)})")
+        for bodies, words in (
+            ((named.geoms[row] for row in rows),
+             "lack the mass of meshes that are not read; give <inertial>"),
+            (hidden, "are not drawn as they are, since all their geoms are of groups above 2"),
+        ):  # fmt: skip
+            if names := list(dict.fromkeys(bodies)):
+                first = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+                found.append(f"{self._path.name}: {len(names)} bodies {words} ({first})")
         return tuple(found)
 
 
@@ -363,8 +359,3 @@ def _why_unseen(form: _Form, files: Mapping[str, Path | None]) -> str:
     if len(set(form.mesh.scale)) > 1 and any(form.mesh.refquat[1:]):
         return f"mesh {form.name}: is turned by refquat and scaled unevenly, which is not read"
     return ""
-
-
-def _first(names: Iterable[str]) -> str:
-    first = list(names)
-    return ", ".join(first[:3]) + (", ..." if len(first) > 3 else "")

@@ -218,16 +218,14 @@ def _set_limits(
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     lower[lower <= -BEYOND], upper[upper >= BEYOND] = -np.inf, np.inf
     velocity, effort = _or_infinite(model.velocityLimit), _or_infinite(model.effortLimit)
+    arrays = {"lower": lower, "upper": upper, "velocity": velocity, "effort": effort}
     for pattern, limits in joint_limits.items():
         if not fnmatch.filter(description.joint_names, pattern):
             unknown = UnknownNameError("joint", pattern, names, "joint_limits: ")
             raise unknown.at("joint_limits", pattern)
         at = [i for i, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
-        for values, given in (
-            (lower, limits.lower), (upper, limits.upper),
-            (velocity, limits.velocity), (effort, limits.effort),
-        ):  # fmt: skip
-            if given is not None:
+        for key, values in arrays.items():
+            if (given := getattr(limits, key)) is not None:
                 values[at] = given
     for name, low, high in zip(names, lower, upper, strict=True):
         if not low < high:
@@ -255,10 +253,9 @@ def _check_arms(robot: RobotModel) -> None:
             raise InvalidValueError(words).at("arms", name)
         for other, others in ways.items():
             if other != name and set(joints) <= set(others):
-                raise InvalidValueError(
-                    f"arm {name}: all its joints ({', '.join(joints)}) also move arm {other}; "
-                    "an arm needs joints of its own"
-                ).at("arms", name)
+                words = f"all its joints ({', '.join(joints)}) also move arm {other}"
+                words = f"arm {name}: {words}; an arm needs joints of its own"
+                raise InvalidValueError(words).at("arms", name)
 
 
 #: Names and kinds of pinocchio's joints with more than one coordinate of motion.

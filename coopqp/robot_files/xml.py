@@ -90,9 +90,8 @@ class _Tree:
         return self._root
 
     def _fault(self, message: str, line: int | None = None) -> InvalidValueError:
-        return InvalidValueError(
-            f"{self._path}:{line or self._parser.CurrentLineNumber}: {message}"
-        )
+        line = line or self._parser.CurrentLineNumber
+        return InvalidValueError(f"{self._path}:{line}: {message}")
 
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         element = Element(tag, attributes)
@@ -137,11 +136,10 @@ def missing_meshes(name: str, missing: Sequence[str], count: int) -> tuple[str, 
 
 def pinocchio_says(error: Exception) -> str:
     """What went wrong, without pinocchio's line numbers."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    told = [
-        line for line in lines if not line.startswith(("From file:", "in function:", "at line:"))
-    ]
-    return " ".join(told).removeprefix("message: ") or type(error).__name__
+    lines = filter(None, map(str.strip, str(error).splitlines()))
+    where = ("From file:", "in function:", "at line:")
+    words = " ".join(line for line in lines if not line.startswith(where))
+    return words.removeprefix("message: ") or type(error).__name__
 
 
 @contextmanager
