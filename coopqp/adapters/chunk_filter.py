@@ -338,7 +338,6 @@ class ChunkFilter:
                 yield Change(k, "joint_velocity", (key,), float(by) * self.settings.fps, "%/s")
 
     def _arms(self, k: int, row: Array, found: _Followed) -> Iterator[Change]:
-        """What the arms' part of a frame breaks."""
         names, bad, q = np.array(KEYS)[ARMS], ~np.isfinite(row[ARMS]), found.before[k]
         if bad.any():
             yield Change(k, "not_finite", tuple(names[bad].tolist()))
@@ -422,7 +421,6 @@ def _way(q: Array, goal: Array) -> Array:
 
 
 def _like(chunk: Any, actions: Array) -> Any:
-    """Actions as the chunk was given."""
     if not isinstance(chunk, Sequence) or not len(chunk) or not isinstance(chunk[0], Mapping):
         return actions
     rows = zip(chunk, actions.tolist(), strict=True)

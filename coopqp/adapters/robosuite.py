@@ -134,7 +134,6 @@ class RobosuiteWorld:
         model.geom_conaffinity[pairs] = 0  # they still touch all else, which has its own
 
     def _below(self, root: int) -> frozenset[int]:
-        """A body and all that hang on it."""
         found, parents = {root}, self.model.body_parentid
         for body in range(root + 1, self.model.nbody):
             if parents[body] in found:

@@ -271,15 +271,12 @@ NEEDED = ("controller", "tick", "t", "status", "tick_us")
 
 def names(layout: Layout, fields: Collection[str] | None = None) -> list[str]:
     """All columns in their order."""
-    found: list[list[list[str]]] = []
-    for line in TABLE:
-        if not line.interleaved:
-            found.append([])
+    found, leader = [], 0
+    for n, line in enumerate(TABLE):
+        leader = leader if line.interleaved else n
         if fields is None or line.name in fields:
-            groups = line.groups(layout)
-            before = found[-1] or [[] for _ in groups]
-            found[-1] = [a + b for a, b in zip(before, groups, strict=True)]
-    return [column for groups in found for group in groups for column in group]
+            found += [(leader, i, n, group) for i, group in enumerate(line.groups(layout))]
+    return [column for *_, group in sorted(found) for column in group]
 
 
 def of_field(name: str, layout: Layout) -> list[str]:

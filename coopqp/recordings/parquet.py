@@ -118,7 +118,6 @@ def arrow_schema(scenario: Scenario, controller: str, source: str, names: Iterab
 
 
 def _run(path: Path, table: Any) -> Run:
-    """A run from a table of pyarrow's."""
     lists = {
         name: x.to_numpy() if str(x.type) in ("double", "int64") else x.to_pylist()
         for name, x in zip(table.column_names, table.columns, strict=True)

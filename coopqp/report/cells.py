@@ -148,7 +148,6 @@ def _acceleration(found: Assessment) -> Cell:
 
 
 def _motors(found: Assessment) -> Cell:
-    """Motors at their limits; none where the plant has no motors."""
     if "tau" not in found.trace.signals:
         return Cell(("-",))
     shares = list(found.saturated.items())

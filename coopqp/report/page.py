@@ -129,8 +129,8 @@ def _row(comparison: Comparison, name: str, style: Style, folder: Path | None) -
     traces = comparison.traces
     row = cells(traces[name], comparison.metrics[name], traces.values())
     entries = "".join(_entry(row[k], column, wraps=k in WRAPPING) for k, column in COLUMNS.items())
-    told = folder if comparison.scenario.source and row["reached"].bad else None
-    why = _explained_by(comparison, name, told) if told else ""
+    missed = comparison.scenario.source and row["reached"].bad
+    why = _explained_by(comparison, name, folder) if folder and missed else ""
     return (
         f'<tr><th scope="row" class="name">{breakable(name)}{style.swatch()}</th>'
         f'<td class="verdict">{text(comparison.verdicts[name])}{why}</td>{entries}</tr>'
@@ -138,7 +138,6 @@ def _row(comparison: Comparison, name: str, style: Style, folder: Path | None) -
 
 
 def _explained_by(comparison: Comparison, name: str, folder: Path) -> str:
-    """The command that says why a run has missed its goal."""
     words = ["coopqp", "explain", str(folder), "--controller", name]
     own = zip(("--tasks", "--plugins"), comparison.scenario.catalog.folders, strict=True)
     words += [word for key, paths in own for path in paths for word in (key, os.path.relpath(path))]
@@ -178,15 +177,14 @@ def _group(group: Group) -> str:
         f'<p class="hint"><b>{text(word)}</b>: {text(meaning)}</p>'
         for word, meaning in group.words.items()
     )
-    shown = f'<div class="grid">{"".join(map(_figure, group.figures))}</div>'
-    folded = (
-        f"<details><summary>{text(group.more)}</summary>"
-        f'<div class="grid">{"".join(map(_figure, group.folded))}</div></details>'
+    shown, folded = (
+        f'<div class="grid">{"".join(map(_figure, figures))}</div>' if figures else ""
+        for figures in (group.figures, group.folded)
     )
-    return (
-        f'<section><div class="lead"><h2>{text(group.title)}</h2>{hint}{words}</div>'
-        f"{shown if group.figures else ''}{folded if group.folded else ''}</section>"
-    )
+    if folded:
+        folded = f"<details><summary>{text(group.more)}</summary>{folded}</details>"
+    lead = f'<div class="lead"><h2>{text(group.title)}</h2>{hint}{words}</div>'
+    return f"<section>{lead}{shown}{folded}</section>"
 
 
 def _figure(figure: Figure) -> str:

@@ -203,7 +203,6 @@ def _node(arguments: Sequence[str]) -> Iterator[Any]:
 
 @contextmanager
 def _received(node: Any) -> Iterator[None]:
-    """Let messages be received in a thread."""
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     executor = SingleThreadedExecutor()

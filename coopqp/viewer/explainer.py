@@ -50,8 +50,6 @@ def problem_of(scenario: Scenario, snapshot: Snapshot) -> ControlProblem:
 
 
 class _Explainer:
-    """Explains the controller of a snapshot in its phase."""
-
     def __init__(self, scenario: Scenario, snapshot: Snapshot) -> None:
         self._name, self._problem = snapshot.law, problem_of(scenario, snapshot)
         controller = controller_of(scenario, self._name)

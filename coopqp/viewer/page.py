@@ -151,8 +151,6 @@ class _Panel:
         self._status.content = _box("ended")
 
     def _on(self, register: Callable[[Any], Any], action: Callable[[], Action]) -> None:
-        """Send an action whenever somebody uses a control."""
-
         async def act(event: Any) -> None:
             self._send(action())
 
@@ -389,8 +387,6 @@ class Scene:
 
 
 class _Controller:
-    """What is drawn of one controller."""
-
     def __init__(
         self, server: Any, setup: PageSetup, drawn: tuple[str, Rgb], send: Callable[[Action], None]
     ) -> None:

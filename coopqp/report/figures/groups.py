@@ -184,7 +184,6 @@ def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
 
 
 def _by_trace(chart: Chart, task: TaskInfo, kind: str) -> Lines:
-    """A task's errors in every trace that has it."""
     found: Lines = {}
     for name, trace in chart.traces.items():
         for i, own in enumerate(trace.tasks):

@@ -92,7 +92,6 @@ def body_places(
 
 
 def _surfaces_of_shapes(robot: RobotModel) -> tuple[dict[int, list[Mesh]], tuple[str, ...]]:
-    """Surfaces of the links' shapes by joint, and what cannot be read."""
     surfaces: dict[int, list[Mesh]] = {}
     faults = set()
     for shape in robot.shapes:
