@@ -226,8 +226,8 @@ class ChunkFilter:
         return row
 
     def _started(self, start: Any) -> Array:
-        asked = [start] if isinstance(start, Mapping) else start
-        row: Array = self._array(asked, self._last(), "start")[0]
+        frames = [start] if isinstance(start, Mapping) else start
+        row: Array = self._array(frames, self._last(), "start")[0]
         if not np.isfinite(row).all():
             raise InvalidValueError("start: needs a finite number for each motor")
         far = np.abs(self.units.joints(row[None])[0]) > FARTHEST
@@ -240,7 +240,7 @@ class ChunkFilter:
         """Frames (N, 12); what dicts leave out is as in the frame before."""
         try:
             if isinstance(chunk, Sequence) and any(isinstance(row, Mapping) for row in chunk):
-                return np.array([*itertools.accumulate(chunk, _told, initial=last)][1:])
+                return np.array([*itertools.accumulate(chunk, _frame, initial=last)][1:])
             found = real(chunk)
         except ValueError as error:
             raise InvalidValueError(f"{what}: {said(error)}") from None
@@ -273,10 +273,10 @@ class ChunkFilter:
         Recorded ones are asked for from where the one before was, not where it led.
         """
         x = self.units.joints(given)
-        told, changed = np.ascontiguousarray(_filled(x, q)), np.zeros(len(x), bool)
+        requested, changed = np.ascontiguousarray(_filled(x, q)), np.zeros(len(x), bool)
         off, rounding = np.zeros(len(x)), RECORDED if recorded else ROUNDING
         found = _Followed(np.empty(x.shape), np.empty(x.shape), changed, off, rounding)
-        now, flags = (told[0] if recorded and len(x) else q).copy(), changed.view(np.uint8)
+        now, flags = (requested[0] if recorded and len(x) else q).copy(), changed.view(np.uint8)
         a = b = 0
         for holds, frames in itertools.groupby(holding.tolist()):
             b += len(list(frames))
@@ -285,9 +285,9 @@ class ChunkFilter:
                 self._kernel.take_hold(taken)
             while a < b:
                 rows = found.q[a:b], found.before[a:b], flags[a:b], found.opened[a:b]
-                a += self._kernel.follow(told[a:b], now, *rows, holds, recorded, rounding)
+                a += self._kernel.follow(requested[a:b], now, *rows, holds, recorded, rounding)
                 if a < b:
-                    found.q[a] = now[:] = self._apart(now, told[a], taken)
+                    found.q[a] = now[:] = self._apart(now, requested[a], taken)
                     a += 1
         changed |= ~np.isfinite(x).all(axis=1)
         return found, taken
@@ -362,11 +362,13 @@ class ChunkFilter:
         for place in (x, *_way(np.clip(q, -FARTHEST, FARTHEST), goal)):
             if self._space.is_free(place[None])[0]:
                 continue
-            told, d = self._space.measure(place)[:, :2].T
-            near = (told == Told.INSIDE) | ((told != Told.BEYOND) & (d < self.settings.distance))
-            near |= not near.any() and told != Told.BEYOND  # where nothing is proved
+            status, d = self._space.measure(place)[:, :2].T
+            near = (status == Told.INSIDE) | (
+                (status != Told.BEYOND) & (d < self.settings.distance)
+            )
+            near |= not near.any() and status != Told.BEYOND  # where nothing is proved
             for i in np.flatnonzero(near).tolist():
-                by = np.nan if told[i] == Told.INSIDE else self.settings.distance - d[i]
+                by = np.nan if status[i] == Told.INSIDE else self.settings.distance - d[i]
                 yield Change(k, "self_collision", tuple(self.watched[i]), float(by), "m")
             return
 
@@ -397,7 +399,7 @@ def _law(chain: ClosedChain, kept: FilterSettings, *limits: Limit) -> KernelLaw:
     return law
 
 
-def _told(row: Array, action: Any) -> Array:
+def _frame(row: Array, action: Any) -> Array:
     """The frame after one, by a dict; ValueError where it is none."""
     if not isinstance(action, Mapping):
         raise ValueError(f"found a {type(action).__name__} among dicts")

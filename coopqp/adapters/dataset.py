@@ -66,8 +66,8 @@ def audit(
     chunks = ChunkFilter(scenario, units, fps=fps, **settings)
     for episode, numbers, rows in _episodes(folder, column, count):
         given = rows[:, at]
-        most = np.abs(np.nan_to_num(given[:, ARMS])).max(initial=0.0)
-        radians = chunks.units.use_degrees and bool(0.0 < most < 3.2)
+        farthest = np.abs(np.nan_to_num(given[:, ARMS])).max(initial=0.0)
+        radians = chunks.units.use_degrees and bool(0.0 < farthest < 3.2)
         broken = (replace(x, frame=numbers[x.frame]) for x in chunks.audit(given))
         yield AuditedEpisode(episode, len(rows), tuple(broken), radians)
 

@@ -29,7 +29,7 @@ KEYS = tuple(f"{motor}.pos" for motor in MOTORS)
 #: Columns of the arms' joints and of the grippers in an action.
 ARMS, GRIPPERS = [0, 1, 2, 3, 4, 6, 7, 8, 9, 10], [5, 11]
 #: Of a calibration file.
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 #: Degrees of a count, as LeRobot reckons.
 COUNT = 360.0 / 4095.0
 
@@ -71,7 +71,7 @@ class MotorUnits:
         found = {}
         for side, file in zip(SIDES, (left, right), strict=True):
             try:
-                found[side] = json.loads(read_text(Path(file), MOST_BYTES))
+                found[side] = json.loads(read_text(Path(file), MAX_BYTES))
             except ValueError as error:
                 words = f"is no calibration of LeRobot, which is JSON: {error}"
                 raise UnreadableFileError(file, words) from None

@@ -58,13 +58,13 @@ def controllers(
     if kind not in ("positions", "torques"):
         raise InvalidValueError(f"kind: found {kind!r}; needs positions or torques")
     settings: dict[str, Any] = load_composite_controller_config(controller=None, robot=robot)
-    most = 1e4  # scaled one to one; the motors' limits clip
+    unlimited = 1e4  # scaled one to one; the motors' limits clip
     own: dict[str, Any] = {
         "type": "JOINT_POSITION", "kp": kp, "kp_limits": [0, 1e5], "input_type": "absolute",
         "damping_ratio": 1, "impedance_mode": "fixed",
     } if kind == "positions" else {
-        "type": "JOINT_TORQUE", "input_max": most, "input_min": -most, "output_max": most,
-        "output_min": -most, "use_torque_compensation": False,
+        "type": "JOINT_TORQUE", "input_max": unlimited, "input_min": -unlimited,
+        "output_max": unlimited, "output_min": -unlimited, "use_torque_compensation": False,
     }  # fmt: skip
     parts = settings["body_parts"].get("arms", settings["body_parts"])
     for arm in parts:
@@ -279,7 +279,7 @@ class RobosuiteWorld:
         """
         import mujoco
 
-        w, felt = np.zeros((len(self.arms), 6)), np.zeros(6)
+        w, contact_wrench = np.zeros((len(self.arms), 6)), np.zeros(6)
         points = [self.hand(arm).translation for arm in self.arms]
         pairs, held = self.model.geom_bodyid[self.data.contact.geom].tolist(), self._bodies[-1]
         for k, (one, two) in enumerate(pairs):
@@ -288,10 +288,10 @@ class RobosuiteWorld:
             other, sign = (one, 1.0) if two in held else (two, -1.0)  # acts on the second geom
             for i, hand in enumerate(self._bodies[:-1]):
                 if other in hand:
-                    mujoco.mj_contactForce(self.model, self.data, k, felt)
+                    mujoco.mj_contactForce(self.model, self.data, k, contact_wrench)
                     contact = self.data.contact[k]
                     R = contact.frame.reshape(3, 3)
-                    force, torque = sign * felt[:3] @ R, sign * felt[3:] @ R
+                    force, torque = sign * contact_wrench[:3] @ R, sign * contact_wrench[3:] @ R
                     w[i, :3] += force
                     w[i, 3:] += torque + pin.skew(contact.pos - points[i]) @ force
         return w.ravel()

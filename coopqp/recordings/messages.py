@@ -72,7 +72,7 @@ class Remark(NamedTuple):
 
     about: str
     level: int  # 0 all is well, 1 something is held back or given up, 2 not usable or broken
-    words: str
+    message: str
     values: Mapping[str, str]  # by name with unit
 
 
@@ -269,7 +269,7 @@ class _Messages:
     def __init__(self, writer: Any, messages: Any, controller: str) -> None:
         self._writer, self._of, self._name = writer, messages, controller
         self._channels: dict[str, int] = {}
-        self._logged: dict[str, tuple[int, str]] = {}  # level and words, by what they are about
+        self._logged: dict[str, tuple[int, str]] = {}  # level and message, by what they are about
 
     def log(self, instant: Instant) -> None:
         of, ns = self._of, instant.ns
@@ -407,7 +407,7 @@ class _Bag:
             Message(
                 level=remark.level,
                 name=f"{self._controller}: {remark.about}",
-                message=remark.words,
+                message=remark.message,
                 hardware_id="",
                 values=[Message(key=key, value=value) for key, value in remark.values.items()],
             )

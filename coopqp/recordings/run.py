@@ -60,9 +60,9 @@ class Run:
         """Where a row stands."""
         return f"{self.at}{self.rows[k]}"
 
-    def fault(self, k: int, words: str) -> InvalidValueError:
+    def fault(self, k: int, message: str) -> InvalidValueError:
         """What is wrong with a row."""
-        return InvalidValueError(f"{self.place(k)}: {words}; the trace is damaged")
+        return InvalidValueError(f"{self.place(k)}: {message}; the trace is damaged")
 
     def only(self, which: Any) -> Run:
         kept = {name: values[which] for name, values in self.columns.items()}
@@ -90,8 +90,8 @@ class Run:
         found = [self.columns.get(name, nothing) for name in names]
         values = np.stack(found, axis=1) if found else np.zeros((len(self), 0))
         for k, i in np.argwhere(np.isinf(values) if empty else ~np.isfinite(values))[:1].tolist():
-            seen = "nothing" if np.isnan(values[k, i]) else values[k, i]
-            raise self.fault(k, f"{names[i]}: found {seen}, needs a finite number")
+            cell = "nothing" if np.isnan(values[k, i]) else values[k, i]
+            raise self.fault(k, f"{names[i]}: found {cell}, needs a finite number")
         for k, i in np.argwhere(np.abs(values) > FARTHEST)[:1].tolist():
             raise self.fault(k, f"{names[i]}: found {values[k, i]:g}, which cannot be")
         return values
@@ -160,16 +160,16 @@ def _is_number(value: Any) -> bool:
 
 def check(run: Run) -> None:
     """Refuse a status that there is not, and time that goes back, or stands still for no reason."""
-    said = run.columns["status"]
-    for word in dict.fromkeys(said.tolist()):
+    status = run.columns["status"]
+    for word in dict.fromkeys(status.tolist()):
         for name in word.split("+") if word else ():
             if name not in Status.__members__:
                 words = f"status: no status '{one_line(name[:40])}'"
-                raise run.fault(int(np.argmax(said == word)), words)
+                raise run.fault(int(np.argmax(status == word)), words)
     for own in map(run.of, run.controllers):
-        t, said = own.numbers(["t"])[:, 0], own.columns["status"]
+        t, status = own.numbers(["t"])[:, 0], own.columns["status"]
         for k in np.flatnonzero(np.diff(t) <= 0.0).tolist():
-            rested = t[k + 1] >= t[k] - ROUNDING and _STANDS.intersection(said[k].split("+"))
+            rested = t[k + 1] >= t[k] - ROUNDING and _STANDS.intersection(status[k].split("+"))
             if not rested:
                 raise own.fault(k + 1, f"t: found {t[k + 1]:g} after {t[k]:g}")
 

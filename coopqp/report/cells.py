@@ -104,18 +104,20 @@ def _tick(trace: Trace, engine: dict[str, Any] | None, beside_compiled: bool) ->
     more = (f"{len(of)} in {other}" for other, of in others)
     cost = engine["rows_us"] if engine and language == LANGUAGES[1] else None
     rows = "" if cost is None else f":{NBSP}{f'{cost:.0f}' if cost >= 0.5 else '<1'}"
-    said = "-" if beside_compiled and language == LANGUAGES[2] else f"{np.median(us):.0f}"
-    return Cell((said, *f"{language}{rows}".split(" ", 1), *more))
+    shown = "-" if beside_compiled and language == LANGUAGES[2] else f"{np.median(us):.0f}"
+    return Cell((shown, *f"{language}{rows}".split(" ", 1), *more))
 
 
 def _solvers(comparison: Comparison) -> str:
     """What solved the QPs; by controller where that differs."""
-    used = {name: said for name, m in comparison.metrics.items() if (said := _solver(m))}
+    used = {name: solver for name, m in comparison.metrics.items() if (solver := _solver(m))}
     kinds = dict.fromkeys(used.values())
     if len(kinds) < 2:
         return next(iter(kinds), "none")
-    of = {said: ", ".join(name for name, own in used.items() if own == said) for said in kinds}
-    return "; ".join(f"{said} ({names})" for said, names in of.items())
+    of = {
+        solver: ", ".join(name for name, own in used.items() if own == solver) for solver in kinds
+    }
+    return "; ".join(f"{solver} ({names})" for solver, names in of.items())
 
 
 def _solver(metrics: Mapping[str, Any]) -> str:

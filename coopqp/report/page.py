@@ -29,7 +29,7 @@ HERE = Path(__file__).parent
 KINDS = {None: "", True: "bad", False: "good"}  # of cells, by whether they are bad
 PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
 FEW = 4  # columns that narrow pages have room for
-WORDS = ("blocked_<wbr>by", "broken")  # columns of names, in studies
+NAMES = ("blocked_<wbr>by", "broken")  # columns of names, in studies
 #: Columns that may get narrow, so that the verdict does not.
 WRAPPING = ("task_error", "limit", "speed", "acceleration", "margin", "loop", "motors", "tick")
 
@@ -93,7 +93,7 @@ def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """
     first, *others = heads
     words = [re.sub(r"<[^>]*>", " ", head.replace("<wbr>", "")).strip() for head in others]
-    kinds = [' class="words"' if head in WORDS else "" for head in others]
+    kinds = [' class="words"' if head in NAMES else "" for head in others]
     head = f'<th class="name">{first}</th>' + "".join(f"<th>{x}</th>" for x in others)
     body = "".join(
         f'<tr><th scope="row" class="name">{name}</th>'
@@ -175,7 +175,7 @@ def _group(group: Group) -> str:
     hint = f'<p class="hint">{text(group.hint)}</p>' if group.hint else ""
     words = "".join(
         f'<p class="hint"><b>{text(word)}</b>: {text(meaning)}</p>'
-        for word, meaning in group.words.items()
+        for word, meaning in group.terms.items()
     )
     shown, folded = (
         f'<div class="grid">{"".join(map(_figure, figures))}</div>' if figures else ""

@@ -64,12 +64,12 @@ def reach_json(found: Reach) -> str:
 
 def plan_json(found: Plan) -> str:
     """A plan without its points."""
-    seen = found.verification
+    check = found.verification
     data: dict[str, Any] = {
         "found": found.found, "proven_unreachable": found.proven, "sentence": found.sentence,
         "length": found.length, "duration": float(found.t[-1]) if len(found.t) else 0.0,
         "seconds": found.seconds,
-        "verified": {"points": seen.points, "open": seen.open} if seen else None,
+        "verified": {"points": check.points, "open": check.open} if check else None,
     }  # fmt: skip
     return strict_json.text(data)
 
@@ -156,9 +156,9 @@ def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenari
             for name, *cells in _active(found, more)
         ]
         lines = filter(None, [*found.sentences, found.coarse(scenario.dt)])
-        said = "".join(f"<p>{text(line)}</p>" for line in lines)
+        sentences = "".join(f"<p>{text(line)}</p>" for line in lines)
         sections += (
-            f'<section><h2>{text(title)}</h2><aside class="how">{said}</aside>'
+            f'<section><h2>{text(title)}</h2><aside class="how">{sentences}</aside>'
             f"{_picture(found, colors)}{html_table(TITLES, rows)}</section>"
         )
     about = text(scenario.description)
@@ -183,16 +183,18 @@ def _picture(found: TimedPath, colors: dict[str, str]) -> str:
         at = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
         return f'<polyline points="{at}" fill="none" stroke="{color}" stroke-width="{width}"/>'
 
-    most, y = (low - (low - MARGIN) * np.sqrt(np.maximum(k, 0.0)) / top for k in (way.most, way.x))
-    parts = [line(zip(x, most, strict=True), "#cccccc", 1.5)]
+    highest, y = (
+        low - (low - MARGIN) * np.sqrt(np.maximum(k, 0.0)) / top for k in (way.most, way.x)
+    )
+    parts = [line(zip(x, highest, strict=True), "#cccccc", 1.5)]
     parts.append(line([(MARGIN, MARGIN), (MARGIN, low), (WIDTH - MARGIN, low)], BLACK, 1.0))
     pairs = list(zip(x, y, strict=True))
     for k, name in enumerate(found.active):
         parts.append(line(pairs[k : k + 2], colors.get(name, GRAY), 3.0))
-    for height, words in (
+    for height, label in (
         (HEIGHT - 12, f"length of the path, 0 to {way.s[-1]:.3g} rad"),
         (MARGIN - 8, f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"),
     ):
-        parts.append(f'<text x="{MARGIN}" y="{height}" font-size="13">{words}</text>')
+        parts.append(f'<text x="{MARGIN}" y="{height}" font-size="13">{label}</text>')
     head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}">'
     return "".join([head, *parts, "</svg>"])

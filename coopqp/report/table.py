@@ -90,8 +90,8 @@ def summary(comparison: Comparison) -> Table:
         table.add_column(Text(heading), justify="right", no_wrap=True)
     for name, trace in comparison.traces.items():
         row = cells(trace, comparison.metrics[name], comparison.traces.values())
-        said = Text.assemble((name, "bold"), "\n", comparison.verdicts[name])
-        table.add_row(said, *(_entry(row[key]) for key in SHOWN))
+        verdict = Text.assemble((name, "bold"), "\n", comparison.verdicts[name])
+        table.add_row(verdict, *(_entry(row[key]) for key in SHOWN))
     return table
 
 
@@ -122,5 +122,7 @@ def tick_text(record: TickRecord, *, as_json: bool) -> str:
     found = explain(record)
     if as_json:
         return strict_json.text({"tick": record.tick, "status": record.status, **asdict(found)})
-    said = f"{found.sentence[0].upper()}{found.sentence[1:]}."
-    return f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):\n{said}"
+    sentence = f"{found.sentence[0].upper()}{found.sentence[1:]}."
+    return (
+        f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):\n{sentence}"
+    )

@@ -88,7 +88,7 @@ def _vertex(place: str, words: list[bytes], maximum: int) -> list[float]:
     return found
 
 
-MOST = 10**9  # largest number of a vertex
+MAX_VERTEX = 10**9  # largest number of a vertex
 COLOURED = 8  # numbers of a vertex with a weight and a colour
 
 
@@ -122,7 +122,7 @@ def _face(place: str, words: list[bytes], last: int) -> list[int]:
     except ValueError:
         given = []
     face = [i - 1 if i > 0 else last + i for i in given]
-    if len(face) < 3 or 0 in given or min(face) < 0 or max(face) > MOST:
+    if len(face) < 3 or 0 in given or min(face) < 0 or max(face) > MAX_VERTEX:
         shown = b" ".join(words)[:40].decode("ascii", "replace")
         raise InvalidValueError(f"{place}: found '{shown}', needs 3 vertices or more by number")
     return face

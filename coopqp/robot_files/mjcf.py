@@ -156,8 +156,7 @@ def _take_out(xml: ET.Element) -> None:
         if element.tag in NOT_READ:
             raise fault(element, f"is not read; {NOT_READ[element.tag]}")
         texts = [text for key, text in element.attrib.items() if key not in LONG]
-        said = (element.tag, *element.attrib, *texts)
-        if len(longest := max(said, key=len)) > LONGEST:
+        if len(longest := max((element.tag, *element.attrib, *texts), key=len)) > LONGEST:
             words = f"found '{longest[:40]}...', which has more than {LONGEST} letters"
             raise InvalidValueError(f"{getattr(element, 'place', '')}: {words}")
         for key, text in element.attrib.items():
@@ -229,14 +228,14 @@ class _Compiled:
             },
         )
 
-    def _element(self, said: str) -> ET.Element:
+    def _element(self, message: str) -> ET.Element:
         """The element whose line a message names; the outermost one where none is."""
-        line = re.search(r"line (\d+)", said)
+        line = re.search(r"line (\d+)", message)
         return self._elements[int(line[1]) - 1 if line else 0]
 
-    def _refusal(self, said: str) -> InvalidValueError:
+    def _refusal(self, message: str) -> InvalidValueError:
         """MuJoCo's words, with the place in the file and the nearest name of what is misspelt."""
-        words, element = said.strip().partition("\n")[0], self._element(said)
+        words, element = message.strip().partition("\n")[0], self._element(message)
         for pattern, plain in PLAIN.items():
             words = re.sub(pattern, plain, words)
         if element.tag == "body" and re.search("mass|inertia", words):

@@ -51,14 +51,14 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     if xml.find("link") is None:
         raise fault(xml, "is not a URDF file: has no <link>")
     impossible = _check(xml)
-    heard: list[str] = []
+    printed: list[str] = []
     try:
-        with stderr_lines(heard):
+        with stderr_lines(printed):
             model = pin.buildModelFromXML(ET.tostring(xml, encoding="unicode"))
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
-        why = heard or [pinocchio_says(error)]
+        why = printed or [pinocchio_says(error)]
         raise InvalidValueError(
-            f"{_told_place(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
+            f"{_place_named(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
         ) from None
     shapes, undrawn = _shapes(xml, "visual", path, package_dirs)
     collide, unread = _shapes(xml, "collision", path, package_dirs)
@@ -78,7 +78,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         },
         warnings=(
             *impossible,
-            *(f"{path.name}: {line}" for line in heard),
+            *(f"{path.name}: {line}" for line in printed),
             *missing_meshes(path.name, missing, meshes),
         ),
     )
@@ -330,10 +330,10 @@ def _check_circles(moved_by: Mapping[str, Element], parents: Mapping[str, str]) 
             raise fault(moved_by[first], words)
 
 
-def _told_place(xml: Element, words: Sequence[str]) -> str:
+def _place_named(xml: Element, messages: Sequence[str]) -> str:
     """Of the part in brackets, as in "joint [elbow]: limit has no velocity"; else of the whole."""
     named = {part.get("name"): part for tag in ("link", "joint") for part in xml.findall(tag)}
-    for name in re.findall(r"\[(.*?)\]", "; ".join(words)):
+    for name in re.findall(r"\[(.*?)\]", "; ".join(messages)):
         if name in named:
             return place_of(named[name])
     return place_of(xml)

@@ -37,9 +37,9 @@ def place_of(element: ET.Element) -> str:
     return f"{place}: {tag}" if place else tag
 
 
-def fault(element: ET.Element, words: str, where: str = "") -> InvalidValueError:
+def fault(element: ET.Element, message: str, where: str = "") -> InvalidValueError:
     """What is wrong with an element, ``where`` in it, such as an attribute."""
-    return InvalidValueError(f"{place_of(element)}{where and f' {where}'}: {words}")
+    return InvalidValueError(f"{place_of(element)}{where and f' {where}'}: {message}")
 
 
 def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False) -> ET.Element:
@@ -143,7 +143,7 @@ def pinocchio_says(error: Exception) -> str:
 
 
 @contextmanager
-def stderr_lines(heard: list[str]) -> Iterator[None]:
+def stderr_lines(printed: list[str]) -> Iterator[None]:
     """Collect errors and warnings that parsers in C and C++ would print."""
     with tempfile.TemporaryFile() as file:
         kept = os.dup(2)
@@ -157,4 +157,4 @@ def stderr_lines(heard: list[str]) -> Iterator[None]:
             for line in file.read().decode("utf-8", "replace").splitlines():
                 word, _, text = line.partition(":")
                 if word in ("Error", "Warning"):
-                    heard.append(text.strip())
+                    printed.append(text.strip())

@@ -249,6 +249,6 @@ def _status(remark: Remark) -> Any:
     return _type("diagnostic_msgs/msg/DiagnosticStatus")(
         level=bytes([remark.level]),
         name=f"{NAME}: {remark.about}",
-        message=remark.words,
+        message=remark.message,
         values=[pair(key=key, value=value) for key, value in remark.values.items()],
     )

@@ -129,10 +129,10 @@ def is_sound(message: Any) -> bool:
     """Whether a message has the types that its class declares, and no more than a page says."""
     import msgspec
 
-    said = dataclasses.asdict(message)
-    msgspec.convert(said, type(message))  # raises where it does not fit
+    content = dataclasses.asdict(message)
+    msgspec.convert(content, type(message))  # raises where it does not fit
     # Other updates would change what all browsers see.
-    return set(said.get("updates", ())) <= {"value"} and _is_plain(said)
+    return set(content.get("updates", ())) <= {"value"} and _is_plain(content)
 
 
 def _is_plain(x: Any) -> bool:

@@ -227,7 +227,7 @@ def _table(frame: Frame, setup: PageSetup) -> str:
         mark = f'<span style="color:{color}">&#9632;</span>'
         name = f"<b>{escape(law)}</b>" if i == frame.main else escape(law)
         wrong = f'<div style="color:{TONES["broken"]}">{escape(drawn.broken)}</div>'
-        words = escape(drawn.words) + (wrong if drawn.broken else "")
+        words = escape(drawn.errors) + (wrong if drawn.broken else "")
         rows.append(f'<div style="margin-bottom:0.25em">{mark} {name}: {words}</div>')
     return _box("".join(rows))
 

@@ -51,14 +51,14 @@ def space(scenario: Scenario, bodies: Sequence[Body]) -> tuple[Array, Array]:
 def drawn(controller: SimulatedController, bodies: Sequence[Body]) -> ControllerFrame:
     """A controller at its last tick."""
     state = controller.plant.truth(controller.state)
-    reached, words = _goal_errors(controller, state)
+    reached, errors = _goal_errors(controller, state)
     arrows, weight, squeeze = _forces(controller, state)
     return replace(
         still(state, bodies),
         arrows=arrows,
         weight=weight,
         reached=reached,
-        words=", ".join(filter(None, (words, squeeze))),
+        errors=", ".join(filter(None, (errors, squeeze))),
         broken=_broken(controller, state),
     )
 

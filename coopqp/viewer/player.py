@@ -323,24 +323,24 @@ class Player:
         self, controller: SimulatedController, drawn: messages.ControllerFrame
     ) -> tuple[messages.Tone, str]:
         if drawn.broken:
-            return "broken", _sentence(drawn.broken, drawn.words)
+            return "broken", _sentence(drawn.broken, drawn.errors)
         if stale := controller.state.inputs.stale:
             dragged = {field.name for field in self._steered}
             how = "drag it or turn it" if dragged & set(stale) else "move its sliders"
             return "waiting", _sentence(f"nothing arrives at {', '.join(stale)}; {how}")
         if drawn.reached and controller.at_targets:
-            return "reached", _sentence("at the goal", drawn.words)
+            return "reached", _sentence("at the goal", drawn.errors)
         if controller.follows:
-            return "moving", _sentence("on the way round", drawn.words)
+            return "moving", _sentence("on the way round", drawn.errors)
         if self.explanation.blocked:
             way = "looking for a way round" if self._planned_for else ""
             way = self.way_round.sentence if self.way_round else way
             return "blocked", _sentence(self.explanation.sentence, way)
         if not self.has_explainer:
-            return "waiting", _sentence("not at the goal", drawn.words, ENDED)
+            return "waiting", _sentence("not at the goal", drawn.errors, ENDED)
         if not self.playing:
-            return "waiting", _sentence("paused", drawn.words)
-        return "moving", _sentence("on its way", drawn.words)
+            return "waiting", _sentence("paused", drawn.errors)
+        return "moving", _sentence("on its way", drawn.errors)
 
 
 def _sentence(*parts: str) -> str:

@@ -36,7 +36,7 @@ class Group:
 
     title: str
     hint: str
-    words: dict[str, str] = field(default_factory=dict)
+    terms: dict[str, str] = field(default_factory=dict)
     figures: list[Figure] = field(default_factory=list)
     folded: list[Figure] = field(default_factory=list)  # shown on demand, and on paper
     more: str = ""  # what those are
@@ -66,7 +66,7 @@ def groups(comparison: Comparison) -> list[Group]:
             title="Where the object is",
             hint="Dashed black: the goal of a task, where it fixes the coordinate. Dotted: the "
             "reference, which leads from the start to the goal in the task's own time.",
-            words={"Tilt": "the angle between the object's z axis and the world's."},
+            terms={"Tilt": "the angle between the object's z axis and the world's."},
             figures=where,
             folded=other_points,
             more="Other points of the object that tasks steer",
@@ -82,7 +82,7 @@ def groups(comparison: Comparison) -> list[Group]:
         Group(
             title="Room to the limits",
             hint="Hatched: beyond a limit, where the robot cannot go.",
-            words={
+            terms={
                 "Margin": "distance of the joint nearest to its limit. It tells whether limits are "
                 "kept.",
                 "Criterion φ": "the sum over all joints of ((q - middle) / range)²: 0 with every "
@@ -107,7 +107,7 @@ def groups(comparison: Comparison) -> list[Group]:
             hint="Of the matrix M = J N: N are the joint motions that keep the loops closed, J is "
             f"what the tasks measure (angles count {LENGTH:g} m a radian), by the controller's "
             "model.",
-            words={
+            terms={
                 "Condition": "its largest singular value over its smallest: how much more the "
                 "joints have to move for the hardest direction than for the easiest. It grows "
                 "without bound near a singular posture, where the pseudoinverse asks for speeds "
@@ -121,7 +121,7 @@ def groups(comparison: Comparison) -> list[Group]:
             title="Hands that press",
             hint="Hatched: beyond friction, where the object slips along the hand, and beyond a "
             "pad's edge, over which it tips.",
-            words={
+            terms={
                 "Friction": "the coefficient that the hand's wrench needs, over the real one. What "
                 "a controller counts on is less, by its safety factor.",
                 "Pressure": "where the normal force is on the pad: 0 in the middle, 1 at the edge.",
@@ -133,7 +133,7 @@ def groups(comparison: Comparison) -> list[Group]:
         Group(
             title="Torques and forces",
             hint="Hatched: beyond what the motor can do.",
-            words={
+            terms={
                 "Internal force": "what the hands do to each other through the object: it squeezes "
                 "the object and does not move it.",
                 "Squeeze": "its part along the line between two hands: above zero they press.",
@@ -148,7 +148,7 @@ def groups(comparison: Comparison) -> list[Group]:
         Group(
             title="Loops, active limits and computing time",
             hint="",
-            words={
+            terms={
                 "Loop error": "how far apart two arms carry the object; Baumgarte stabilisation "
                 "with the gain κ pulls it back.",
                 "Active": "a limit that the QP is at, which then decides with it what is done.",
