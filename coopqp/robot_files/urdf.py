@@ -314,17 +314,16 @@ LONGEST = 500
 
 def _check_circles(moved_by: Mapping[str, Element], parents: Mapping[str, str]) -> None:
     """Refuse links whose way to the base comes back to them."""
-    joints_to: dict[str, int] = {}
+    joints_to = dict.fromkeys(set(parents.values()) - set(moved_by), 0)
     for first in moved_by:
         way, link = dict[str, None](), first
-        while link in moved_by and link not in joints_to:
+        while link not in joints_to:
             if link in way:
                 words = f"link '{link}' moves itself: the joints from it on go round in a circle"
                 raise fault(moved_by[link], words)
-            way[link] = None
-            link = parents[link]
-        before = joints_to.get(link, 0)
-        joints_to.update((link, before + i) for i, link in enumerate(reversed(way), 1))
+            way[link], link = None, parents[link]
+        for link in reversed(way):
+            joints_to[link] = joints_to[parents[link]] + 1
         if joints_to[first] > LONGEST:
             words = f"more than {LONGEST} joints are between link '{first}' and the base"
             raise fault(moved_by[first], words)
