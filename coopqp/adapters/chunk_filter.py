@@ -362,13 +362,11 @@ class ChunkFilter:
         for place in (x, *_way(np.clip(q, -FARTHEST, FARTHEST), goal)):
             if self._space.is_free(place[None])[0]:
                 continue
-            status, d = self._space.measure(place)[:, :2].T
-            near = (status == Told.INSIDE) | (
-                (status != Told.BEYOND) & (d < self.settings.distance)
-            )
-            near |= not near.any() and status != Told.BEYOND  # where nothing is proved
+            state, d = self._space.measure(place)[:, :2].T
+            near = (state == Told.INSIDE) | ((state != Told.BEYOND) & (d < self.settings.distance))
+            near |= not near.any() and state != Told.BEYOND  # where nothing is proved
             for i in np.flatnonzero(near).tolist():
-                by = np.nan if status[i] == Told.INSIDE else self.settings.distance - d[i]
+                by = np.nan if state[i] == Told.INSIDE else self.settings.distance - d[i]
                 yield Change(k, "self_collision", tuple(self.watched[i]), float(by), "m")
             return
 

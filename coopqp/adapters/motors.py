@@ -56,10 +56,8 @@ class MotorUnits:
         for side, joint in ((s, j) for s in self.calibration for j in JOINTS):
             own = self.calibration[side].get(joint, {})
             if side not in SIDES or not own.get("range_min", 0) < own.get("range_max", 0):
-                where = f"calibration.{side}.{joint}"
-                raise InvalidValueError(
-                    f"{where}: needs range_min < range_max, and sides left, right"
-                )
+                words = "needs range_min < range_max, and sides left, right"
+                raise InvalidValueError(f"calibration.{side}.{joint}: {words}")
 
     @classmethod
     def read(cls, left: Path | str, right: Path | str, **others: Any) -> MotorUnits:

@@ -253,10 +253,8 @@ class RobosuiteWorld:
 
     def hand(self, arm: str) -> pin.SE3:
         """Pose of a hand's site."""
-        site = self.model.site(self.sites[self.arms.index(arm)]).id
-        return pin.SE3(
-            self.data.site_xmat[site].reshape(3, 3).copy(), self.data.site_xpos[site].copy()
-        )
+        i = self.model.site(self.sites[self.arms.index(arm)]).id
+        return pin.SE3(self.data.site_xmat[i].reshape(3, 3).copy(), self.data.site_xpos[i].copy())
 
     @property
     def pads(self) -> list[list[int]]:

@@ -80,9 +80,7 @@ def _of_hand(parts: Sequence[str]) -> Callable[[Layout], list[list[str]]]:
 
 
 def _of_input(parts: Callable[[Kind], Iterable[str]]) -> Callable[[Layout], list[list[str]]]:
-    return lambda layout: [
-        [f"[{name}].{part}" for part in parts(kind)] for name, kind in layout.inputs.items()
-    ]
+    return lambda layout: [[f"[{k}].{p}" for p in parts(kind)] for k, kind in layout.inputs.items()]
 
 
 def _by_key(units: Units, key: str, part: str) -> str:

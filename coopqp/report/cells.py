@@ -57,10 +57,8 @@ class Cell:
     each: tuple[bool, ...] = ()
 
 
-def cells(
-    trace: Trace, metrics: Mapping[str, Any], beside: Iterable[Trace] = ()
-) -> dict[str, Cell]:
-    """The entries of one controller, by the keys of COLUMNS."""
+def cells(trace: Trace, metrics: Mapping[str, Any], runs: Iterable[Trace] = ()) -> dict[str, Cell]:
+    """The entries of one controller of several runs, by the keys of COLUMNS."""
     found, speed = assess(trace), metrics["velocity_violation_max"]
     too_fast = np.abs(trace.v) - trace.velocity
     place, of_speed = (
@@ -83,7 +81,7 @@ def cells(
         ),
         "motors": _motors(found),
         "failed": Cell((f"{failed} of {metrics['ticks']}", *more), failed > 0 or inaccurate > 0),
-        "tick": _tick(trace, metrics["engine"], any(other.compiled.any() for other in beside)),
+        "tick": _tick(trace, metrics["engine"], any(other.compiled.any() for other in runs)),
     }
 
 
@@ -114,9 +112,7 @@ def _solvers(comparison: Comparison) -> str:
     kinds = dict.fromkeys(used.values())
     if len(kinds) < 2:
         return next(iter(kinds), "none")
-    of = {
-        solver: ", ".join(name for name, own in used.items() if own == solver) for solver in kinds
-    }
+    of = {kind: ", ".join(name for name, own in used.items() if own == kind) for kind in kinds}
     return "; ".join(f"{solver} ({names})" for solver, names in of.items())
 
 

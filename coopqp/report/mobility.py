@@ -131,13 +131,11 @@ def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
     if internal is None:
         return None
     ranks = internal.transmission
+    borne = {arm.arm: {"borne": [*map(force_words, arm.borne)]} for arm in ranks.arms}
     return {
         "dimensions": ranks.dimensions,
         "all": ranks.all,
-        "arms": {
-            arm.arm: asdict(arm.counts) | {"borne": [*map(force_words, arm.borne)]}
-            for arm in ranks.arms
-        },
+        "arms": {arm.arm: asdict(arm.counts) | borne[arm.arm] for arm in ranks.arms},
         "pairs": [
             {"arms": pair.arms, **asdict(pair.counts), "components": pair.components}
             for pair in ranks.pairs

@@ -16,7 +16,7 @@ from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
 from coopqp.report import strict_json
-from coopqp.report.curves import BLACK, PALETTE
+from coopqp.report.curves import BLACK, PALETTE, Json
 from coopqp.report.files import write_one
 from coopqp.report.page import asset, html_table, text
 from coopqp.scenario.loader import load
@@ -115,9 +115,7 @@ def write_timed(
     return [*written, folder / PAGE]
 
 
-def _write(
-    table: str, name: str, scenario: Scenario, folder: Path, keys: dict[str, Any]
-) -> list[Path]:
+def _write(table: str, name: str, scenario: Scenario, folder: Path, keys: Json) -> list[Path]:
     path = folder / name
     write_one(path, table)
     if not scenario.source:
@@ -161,10 +159,8 @@ def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenari
             f'<section><h2>{text(title)}</h2><aside class="how">{sentences}</aside>'
             f"{_picture(found, colors)}{html_table(TITLES, rows)}</section>"
         )
-    about = text(scenario.description)
-    return page.substitute(
-        title=text(scenario.name), about=about, css=asset("page.css"), of=sections
-    )
+    about, css = text(scenario.description), asset("page.css")
+    return page.substitute(title=text(scenario.name), about=about, css=css, of=sections)
 
 
 def phase_titles(parts: Sequence[TimedPath], scenario: Scenario) -> list[str]:
@@ -183,10 +179,8 @@ def _picture(found: TimedPath, colors: dict[str, str]) -> str:
         at = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
         return f'<polyline points="{at}" fill="none" stroke="{color}" stroke-width="{width}"/>'
 
-    highest, y = (
-        low - (low - MARGIN) * np.sqrt(np.maximum(k, 0.0)) / top for k in (way.most, way.x)
-    )
-    parts = [line(zip(x, highest, strict=True), "#cccccc", 1.5)]
+    bound, y = (low - (low - MARGIN) * np.sqrt(np.maximum(k, 0.0)) / top for k in (way.most, way.x))
+    parts = [line(zip(x, bound, strict=True), "#cccccc", 1.5)]
     parts.append(line([(MARGIN, MARGIN), (MARGIN, low), (WIDTH - MARGIN, low)], BLACK, 1.0))
     pairs = list(zip(x, y, strict=True))
     for k, name in enumerate(found.active):

@@ -122,7 +122,6 @@ def tick_text(record: TickRecord, *, as_json: bool) -> str:
     found = explain(record)
     if as_json:
         return strict_json.text({"tick": record.tick, "status": record.status, **asdict(found)})
+    tick = f"tick {record.tick} ({record.status})"
     sentence = f"{found.sentence[0].upper()}{found.sentence[1:]}."
-    return (
-        f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):\n{sentence}"
-    )
+    return f"{record.scenario}, {record.controller}, {tick}:\n{sentence}"

@@ -172,17 +172,15 @@ def grasp_parameters(X: pin.SE3) -> MdhParameters:
         theta = math.atan2(R[2, 0], R[2, 1])
         d, minus_r_sin, b_plus_r_cos = _rot_z(-gamma) @ p
         r = -minus_r_sin / sin_alpha
-        return MdhParameters(
-            gamma=gamma, b=b_plus_r_cos - r * R[2, 2], alpha=alpha, d=d, theta=theta, r=r
-        )
+        b = b_plus_r_cos - r * R[2, 2]
+        return MdhParameters(gamma=gamma, b=b, alpha=alpha, d=d, theta=theta, r=r)
     # Parallel axes: alpha is 0 or pi and only gamma +- theta matters; x is along the offset.
     alpha = 0.0 if R[2, 2] > 0.0 else math.pi
     gamma = math.atan2(p[1], p[0])
     about_z = math.atan2(R[1, 0], R[0, 0])
     theta = about_z - gamma if alpha == 0.0 else gamma - about_z
-    return MdhParameters(
-        gamma=gamma, b=p[2], alpha=alpha, d=math.hypot(p[0], p[1]), theta=theta, r=0.0
-    )
+    d = math.hypot(p[0], p[1])
+    return MdhParameters(gamma=gamma, b=p[2], alpha=alpha, d=d, theta=theta, r=0.0)
 
 
 _Placed = dict[str | None, tuple[int, pin.SE3]]

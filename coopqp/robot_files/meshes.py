@@ -8,7 +8,7 @@ COLLADA file, as by pinocchio; its geometry is that of the scene, where its node
 import math
 import xml.etree.ElementTree as ET
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -220,9 +220,8 @@ def _instances(xml: ET.Element, library: _Library) -> Iterator[tuple[Array, ET.E
         X, holder, depth = waiting.pop()
         nodes += 1
         if nodes > MAX_NODES or depth > MAX_DEPTH:
-            raise fault(
-                holder, f"nodes inside nodes are more than {MAX_NODES}, or go round in a circle"
-            )
+            words = f"nodes inside nodes are more than {MAX_NODES}, or go round in a circle"
+            raise fault(holder, words)
         X = X @ _transform(holder) if holder.tag == "node" else X
         for other in holder:
             if other.tag in NOT_READ:
@@ -306,11 +305,7 @@ def _ints(element: ET.Element) -> Ints:
 
 
 #: By suffix, readers of vertices and of triangles as rows of them.
-READERS: Mapping[str, Callable[[Path], tuple[Array, Ints]]] = {
-    ".stl": _stl,
-    ".obj": _obj,
-    ".dae": _collada,
-}
+READERS = {".stl": _stl, ".obj": _obj, ".dae": _collada}
 
 
 @dataclass(frozen=True, eq=False)

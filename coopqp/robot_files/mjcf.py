@@ -208,9 +208,8 @@ class _Compiled:
         try:
             model = pinocchio_model(self._model, named)
         except ValueError as error:  # of names
-            raise fault(
-                self._elements[0], f"is not a robot that can be read: {pinocchio_says(error)}"
-            ) from None
+            words = f"is not a robot that can be read: {pinocchio_says(error)}"
+            raise fault(self._elements[0], words) from None
         drawn, collide = self._geoms.shapes(self._model, named)
         return Description(
             name=self._elements[0].get("model") or self._path.stem,

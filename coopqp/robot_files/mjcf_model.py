@@ -142,9 +142,8 @@ def _inertia(model: Any, body: int) -> pin.Inertia:
 
 def _effort(model: Any, joint: int) -> float:
     """Effort limit of a joint's motors in both directions [N m or N]; infinite if unknown."""
-    motors = np.flatnonzero(
-        (model.actuator_trnid[:, 0] == joint) & np.isin(model.actuator_trntype, AT_JOINT)
-    )
+    at_joint = np.isin(model.actuator_trntype, AT_JOINT)
+    motors = np.flatnonzero((model.actuator_trnid[:, 0] == joint) & at_joint)
     low, high = -np.inf, np.inf
     if len(motors):
         low, high = np.sum([_motor(model, motor) for motor in motors], axis=0)

@@ -385,9 +385,7 @@ def _limit(owner: str, margins: Mapping[Row, float]) -> Remark:
     reached = {row: m < BROKEN for row, m in margins.items() if m <= AT}
     texts = [f"{'beyond' if broken else 'at'} {row.words}" for row, broken in reached.items()]
     units = dict.fromkeys(row.unit for row in margins)
-    nearest = {
-        u: min((row for row in margins if row.unit == u), key=margins.__getitem__) for u in units
-    }
+    nearest = {u: min((r for r in margins if r.unit == u), key=margins.__getitem__) for u in units}
     values = {f"left [{unit}]": f"{margins[row]:.4g}" for unit, row in nearest.items()}
     values |= {f"nearest [{unit}]": row.words for unit, row in nearest.items()}
     level = max((1 + broken for broken in reached.values()), default=0)

@@ -395,10 +395,8 @@ class _Controller:
         self._send, self._root = send, scene.add_frame(name, show_axes=False)
         look: Any = {"color": LINK, "side": "double", "flat_shading": True}
         self._links = [
-            scene.add_mesh_simple(
-                f"{name}/link{k}", body.surface.vertices, body.surface.corners, **look
-            )
-            for k, body in enumerate(setup.bodies)
+            scene.add_mesh_simple(f"{name}/link{k}", surface.vertices, surface.corners, **look)
+            for k, surface in enumerate(body.surface for body in setup.bodies)
         ]
         self._held = scene.add_box(f"{name}/object", color=self._color, dimensions=setup.size)
         size = max(setup.size)

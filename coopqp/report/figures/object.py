@@ -120,9 +120,7 @@ class Tilt:
 
     def reference(self, start: pin.SE3, marks: Sequence[Sequence[Marker]], share: Array) -> Array:
         """About one axis to the goal [degrees]; NaN for a goal that turns."""
-        goals = [
-            mark.rotation for then in marks for mark in then if isinstance(mark, marker.PoseMarker)
-        ]
+        goals = [m.rotation for then in marks for m in then if isinstance(m, marker.PoseMarker)]
         if any(not np.array_equal(R, goals[0]) for R in goals):
             return np.full(len(share), np.nan)
         turn = pin.log3(goals[0] @ start.rotation.T)

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.reading import version
@@ -79,7 +78,7 @@ def solid_body(solid: SolidMarker) -> Body:
 
 
 def body_places(
-    robot: RobotModel, bodies: Sequence[Body], trace: Trace, rows: NDArray[np.int64]
+    robot: RobotModel, bodies: Sequence[Body], trace: Trace, rows: Ints
 ) -> list[list[pin.SE3]]:
     """Pose of each body's joint in the world, for each of the rows of a trace, shape (r,)."""
     model, data = robot.model, robot.model.createData()

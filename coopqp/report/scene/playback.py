@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from coopqp.assessment.limits import beyond
 from coopqp.assessment.thresholds import AT_LIMIT
@@ -30,6 +29,7 @@ from coopqp.report.curves import styles
 from coopqp.report.figures.joints import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, moved, robot_bodies, solid_body
 from coopqp.robot import RobotModel
+from coopqp.robot_files.meshes import Ints
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks.posture import posture
 from coopqp.trace import Trace
@@ -49,9 +49,7 @@ SLICES = 8  # of what is shown, to find the largest scale at which it fits
 #: axes of a pose, in longest edges of the object.
 PLANE_SHARE, LINE_SHARE, AXES_SHARE = 0.65, 1.0, 0.5
 
-KINDS = (
-    "goals", "lines", "directions", "planes", "circles", "spheres", "poses", "orientations"
-)  # fmt: skip
+KINDS = ("goals", "lines", "directions", "planes", "circles", "spheres", "poses", "orientations")
 #: Which of its values say where it is.
 PLACES = {
     "goals": "at", "poses": "at", "circles": "center", "spheres": "center", "planes": "corners",
@@ -161,7 +159,7 @@ def scene(comparison: Comparison) -> Json:
     }
 
 
-def _motion(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json:
+def _motion(trace: Trace, scenario: Scenario, frames: Ints) -> Json:
     state, robot = joint_state(trace), scenario.chain.robot
     places, middle = label_places(robot, trace.points), short(_middle(trace.points))
     columns = {a.name: [trace.joints.index(j) for j in robot.arm_joints(a)] for a in robot.arms}
@@ -204,13 +202,13 @@ def _middle(points: Mapping[str, Array]) -> Array:
     return np.asarray(np.concatenate([of[0] for of in points.values()]).mean(axis=0))
 
 
-def joint_state(trace: Trace) -> NDArray[np.int64]:
+def joint_state(trace: Trace) -> Ints:
     """Whether each joint is inside, at or beyond its limits, shape (T + 1, n)."""
     out = beyond(trace)
     return np.select([out > AT_LIMIT, out >= -AT_LIMIT], [BEYOND, AT], INSIDE)
 
 
-def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
+def _readout(trace: Trace, frames: Ints) -> list[list[str]]:
     texts, margins = [], {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
         lines = []
@@ -277,7 +275,7 @@ def squeeze_words(points: Array, wrenches: Array) -> str:
     return f"squeeze {', '.join(f'{force:.3g}' for force in forces)} N" if forces else ""
 
 
-def arrows(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json | None:
+def arrows(trace: Trace, scenario: Scenario, frames: Ints) -> Json | None:
     """Start and way of each arrow in each frame, for ``playback.js``; None without forces."""
     if "hand_wrench" not in trace.signals or not trace.ticks:
         return None
@@ -324,17 +322,13 @@ class Shown:
         return {"name": self.name, "limit": self.limit, **self.frames, **values}
 
 
-def shown_marks(
-    scenario: Scenario, frames: NDArray[np.int64], trace: Trace, faults: list[str]
-) -> list[Shown]:
+def shown_marks(scenario: Scenario, frames: Ints, trace: Trace, faults: list[str]) -> list[Shown]:
     """The markers of the tasks of all phases and of the limits, at ticks; errors become faults."""
     place, every = Place(scenario), list[Shown]()
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
     for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
-        times = {
-            k: float(trace.t[frames[k]]) - tick * scenario.dt
-            for k in np.flatnonzero(phases == i).tolist()
-        }
+        own = np.flatnonzero(phases == i).tolist()
+        times = {k: float(trace.t[frames[k]]) - tick * scenario.dt for k in own}
         sources: list[Any] = [*phase.tasks, *scenario.limits]
         for source in sources:
             limit = isinstance(source, Limit)
@@ -370,7 +364,7 @@ def short(values: Array) -> Any:
 
 
 def carried(
-    marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: NDArray[np.int64]
+    marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: Ints
 ) -> dict[str, list[Json]]:
     """By kind, for ``playback.js``."""
     every: dict[str, list[Json]] = {"tracked": [], "postures": [], "relatives": []}
@@ -387,7 +381,7 @@ def carried(
     return every
 
 
-def _posture(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int64]) -> list[Any]:
+def _posture(scenario: Scenario, trace: Trace, mark: Shown, own: Ints) -> list[Any]:
     """Of each arm with a joint that has a goal, f times its joints and its hand."""
     chain, q, moved = scenario.chain, trace.q[own].copy(), set()
     goals = np.array([posture(values["goal"], chain) for values in mark.values])
@@ -400,7 +394,7 @@ def _posture(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int6
     return [short(points[arm.name]) for arm in arms]
 
 
-def _relative(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int64]) -> Json:
+def _relative(scenario: Scenario, trace: Trace, mark: Shown, own: Ints) -> Json:
     """Origin and axes in the world, f each."""
     problems = list(scenario.problems(lambda first: np.asarray(trace.commanded[first])))
     phase = int(np.searchsorted(scenario.first_ticks, own[0], side="right")) - 1

@@ -170,9 +170,8 @@ def _paired(pairs: Sequence[Pair], *, exact: bool) -> str:
         lines = (f'<span class="lines">{v.replace(chr(10), "<br>")}</span>' for v in values)
         rows.append([breakable(p.controller), *(f"{n:,}" for n in counts), *lines])
     hint = "" if exact else TESTS
-    return (
-        f"<section><h2>Controllers against each other</h2>{hint}{html_table(heads, rows)}</section>"
-    )
+    table = html_table(heads, rows)
+    return f"<section><h2>Controllers against each other</h2>{hint}{table}</section>"
 
 
 def _limits(line: Line) -> str:
@@ -325,10 +324,8 @@ class Binned:
 
     def bands(self, values: Array) -> list[list[list[list[float] | None]]]:
         """Quantiles of a column: by axis, by controller, by bin; None for an empty bin."""
-        return [
-            [self._quantiles(axis, values, k) for k in range(len(self.controllers))]
-            for axis in self.axes
-        ]
+        controllers = range(len(self.controllers))
+        return [[self._quantiles(axis, values, k) for k in controllers] for axis in self.axes]
 
     def _quantiles(self, axis: Axis, values: Array, controller: int) -> list[list[float] | None]:
         rows = np.flatnonzero(self.done & (self.controller == controller) & np.isfinite(values))
