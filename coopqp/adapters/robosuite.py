@@ -184,10 +184,8 @@ class RobosuiteWorld:
                 f"grasps: the hand of {name} is to hold {self._held} and does not touch it; close "
                 "it around it first (world.grip, and some steps)"
             )
-        known = replace(
-            scenario.observer,
-            stiffness=None, inertial_stiffness=self.kp, dead_band=self.dead_band,
-        )  # fmt: skip
+        servos: Any = {"inertial_stiffness": self.kp, "dead_band": self.dead_band}
+        known = replace(scenario.observer, stiffness=None, **servos)
         return OnlineLoop(scenario, controller, **{"clock": None, "observer": known, **given})
 
     def read(self) -> Array:

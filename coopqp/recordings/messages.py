@@ -135,11 +135,8 @@ def _frames(chain: ClosedChain) -> list[tuple[str, int]]:
     links = [pin.FrameType.BODY] if pin.FrameType.BODY in kinds else [
         pin.FrameType.JOINT, pin.FrameType.OP_FRAME
     ]  # fmt: skip
-    return [
-        (frame.name, i)
-        for i, frame in enumerate(chain.model.frames)
-        if frame.type in links and i not in chain.frames
-    ]
+    frames = enumerate(chain.model.frames)
+    return [(f.name, i) for i, f in frames if f.type in links and i not in chain.frames]
 
 
 def _placed(name: str, R: Array, p: Array) -> Placed:
@@ -276,10 +273,9 @@ class _Messages:
         stamp = of.Timestamp(ns // NS, ns % NS)
         for topic, (names, *values) in instant.joints.items():
             columns: list[list[Any]] = [list(own) or [None] * len(names) for own in values]
-            states = [
-                of.JointState(name=name, position=q, velocity=v, effort=tau)
-                for name, q, v, tau in zip(names, *columns, strict=True)
-            ]
+            rows = zip(names, *columns, strict=True)
+            keys = "name", "position", "velocity", "effort"
+            states = [of.JointState(**dict(zip(keys, row, strict=True))) for row in rows]
             self._write(topic, ns, of.JointStates(timestamp=stamp, joints=states))
         frames = []
         for placed in instant.frames:
@@ -313,10 +309,8 @@ class _Messages:
 
 
 def _schema(row: Mapping[str, Any]) -> dict[str, Any]:
-    inside = {
-        key: _schema(value) if isinstance(value, dict) else {"type": ["number", "string", "null"]}
-        for key, value in row.items()
-    }
+    cell = {"type": ["number", "string", "null"]}
+    inside = {k: _schema(x) if isinstance(x, dict) else cell for k, x in row.items()}
     return {"type": "object", "properties": inside}
 
 

@@ -105,11 +105,8 @@ def limits_of(trace: Trace) -> list[Audited]:
         if margin.size and np.isfinite(margin).any():
             name = f"{row.owner} of {row.joint}" if row.joint else row.owner
             groups.setdefault(name, []).append((row, margin))
-    return [
-        Audited(
-            name,
-            min(group, key=lambda entry: float(entry[1].min()))[0],
-            np.min([margin for _, margin in group], axis=0),
-        )
-        for name, group in groups.items()
-    ]
+    found = []
+    for name, group in groups.items():
+        tightest, _ = min(group, key=lambda entry: float(entry[1].min()))
+        found.append(Audited(name, tightest, np.min([margin for _, margin in group], axis=0)))
+    return found

@@ -87,11 +87,8 @@ def yaml_text(result: Calibration, scenario: Scenario) -> str:
         grasp = chain.grasps[arm.name]
         entries = scenario.catalog.entries("grasps").items()
         name = next(name for name, entry in entries if entry.cls is type(grasp))
-        settings = {
-            field.name: value
-            for field in dataclasses.fields(grasp)
-            if (value := getattr(grasp, field.name)) != field.default
-        }
+        own = ((field, getattr(grasp, field.name)) for field in dataclasses.fields(grasp))
+        settings = {field.name: value for field, value in own if value != field.default}
         settings.pop("object_in_hand", None)
         if arm.name in chain.hold.holders or grasp.object_in_hand:
             settings["object_in_hand"] = _pose(_object_in_hand(result, arm.name))

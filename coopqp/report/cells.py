@@ -66,6 +66,7 @@ def cells(trace: Trace, metrics: Mapping[str, Any], runs: Iterable[Trace] = ()) 
         for by in (beyond(trace), too_fast)
     )  # the unit of the worst joint
     apart = tuple(number(1e3 * size) for size in found.loop)
+    is_open = None if found.held is False else not found.loop_closed
     failed, inaccurate = metrics["failed_ticks"], metrics["inaccurate_ticks"]
     more = [f"{inaccurate} inaccurate"] if inaccurate else []
     return {
@@ -75,10 +76,7 @@ def cells(trace: Trace, metrics: Mapping[str, Any], runs: Iterable[Trace] = ()) 
         "speed": Cell((_quantity(speed, f"{of_speed}/s"),), bool(found.speeds)),
         "acceleration": _acceleration(found),
         "margin": Cell((_quantity(metrics["limit_margin_min"], place),)),
-        "loop": Cell(
-            (f"{apart[0]}{NBSP}mm", f"{apart[1]}{NBSP}mrad"),
-            None if found.held is False else not found.loop_closed,
-        ),
+        "loop": Cell((f"{apart[0]}{NBSP}mm", f"{apart[1]}{NBSP}mrad"), is_open),
         "motors": _motors(found),
         "failed": Cell((f"{failed} of {metrics['ticks']}", *more), failed > 0 or inaccurate > 0),
         "tick": _tick(trace, metrics["engine"], any(other.compiled.any() for other in runs)),

@@ -254,11 +254,8 @@ class Chart:
     @cached_property
     def problems(self) -> dict[str, list[ControlProblem]]:
         """Each controller's problem in each phase, from where it then was."""
-        scenario = self.comparison.scenario
-        return {
-            name: list(scenario.held_by(name).problems(trace.commanded.__getitem__))
-            for name, trace in self.traces.items()
-        }
+        held_by, traces = self.comparison.scenario.held_by, self.traces.items()
+        return {k: list(held_by(k).problems(of.commanded.__getitem__)) for k, of in traces}
 
     def instants(self, trace: Trace, count: int) -> list[NDArray[np.int64]]:
         """At most ``count`` rows of each phase, evenly spread, first and last among them."""

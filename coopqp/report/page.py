@@ -37,11 +37,8 @@ WRAPPING = ("task_error", "limit", "speed", "acceleration", "margin", "loop", "m
 def render(comparison: Comparison, folder: Path | None = None) -> str:
     """The report as one page; in a folder it says how to have a missed goal explained."""
     looks, parts = styles(comparison.traces), groups(comparison)
-    plots = [
-        {"data": figure.data, "layout": figure.layout, "overTime": figure.over_time}
-        for group in parts
-        for figure in (*group.figures, *group.folded)
-    ]
+    figures = [figure for group in parts for figure in (*group.figures, *group.folded)]
+    plots = [{"data": x.data, "layout": x.layout, "overTime": x.over_time} for x in figures]
     return Template(asset("page.html")).substitute(
         title=text(comparison.scenario.name),
         description=text(comparison.scenario.description),
@@ -105,10 +102,8 @@ def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         for name, *cells in rows
     )
     kind = "summary result" if len(heads) > FEW else "summary"
-    return (
-        f'<div class="wide"><table class="{kind}">'
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
+    rows_of_table = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+    return f'<div class="wide"><table class="{kind}">{rows_of_table}</table></div>'
 
 
 def _summary(comparison: Comparison, looks: dict[str, Style], folder: Path | None) -> str:
@@ -165,18 +160,14 @@ def _legend(looks: dict[str, Style]) -> str:
 
 
 def _pane(name: str, style: Style) -> str:
-    return (
-        f'<div class="pane"><h3>{style.swatch()}<span>{breakable(name)}</span></h3>'
-        '<canvas></canvas><p class="readout"></p></div>'
-    )
+    title = f"<h3>{style.swatch()}<span>{breakable(name)}</span></h3>"
+    return f'<div class="pane">{title}<canvas></canvas><p class="readout"></p></div>'
 
 
 def _group(group: Group) -> str:
     hint = f'<p class="hint">{text(group.hint)}</p>' if group.hint else ""
-    words = "".join(
-        f'<p class="hint"><b>{text(word)}</b>: {text(meaning)}</p>'
-        for word, meaning in group.terms.items()
-    )
+    terms = ((text(term), text(meaning)) for term, meaning in group.terms.items())
+    words = "".join(f'<p class="hint"><b>{term}</b>: {meaning}</p>' for term, meaning in terms)
     shown, folded = (
         f'<div class="grid">{"".join(map(_figure, figures))}</div>' if figures else ""
         for figures in (group.figures, group.folded)
@@ -191,11 +182,9 @@ def _figure(figure: Figure) -> str:
     notes = "".join(f'<span class="note">{text(note)}</span>' for note in figure.notes)
     about = f", {text(figure.about)}" if figure.about else ""
     kind = ' class="alone"' if figure.alone else ""
-    return (
-        f"<figure{kind}><figcaption>"
-        f"{text(figure.title)}<small>{about} [{text(figure.unit)}]</small>{notes}"
-        '</figcaption><div class="plot"></div></figure>'
-    )
+    caption = f"{text(figure.title)}<small>{about} [{text(figure.unit)}]</small>{notes}"
+    plot = '<div class="plot"></div>'
+    return f"<figure{kind}><figcaption>{caption}</figcaption>{plot}</figure>"
 
 
 def how_to_read(comparison: Comparison) -> Iterator[str]:
@@ -256,11 +245,9 @@ def _forces(comparison: Comparison) -> Iterator[str]:
 
 
 def _laws(comparison: Comparison) -> Iterator[str]:
-    bounded = (
-        "and no joint goes beyond its limits"
-        if comparison.scenario.limits
-        else "and joints keep the limits that the scenario lists (this one lists none)"
-    )
+    bounded = "and no joint goes beyond its limits"
+    if not comparison.scenario.limits:
+        bounded = "and joints keep the limits that the scenario lists (this one lists none)"
     yield (
         "The pseudoinverse laws compute joint speeds that move the object and keep the loop "
         "closed, but they do not know the joint limits; the null-space variant follows a gradient "

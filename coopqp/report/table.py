@@ -79,12 +79,8 @@ COLORS = {None: "", True: "red", False: "green"}
 def summary(comparison: Comparison) -> Table:
     """One row a controller; fits 100 columns."""
     # A Text shows what it is given; a plain string would read [brackets] in names as markup.
-    table = Table(
-        title=Text(one_line(comparison.scenario.name), style="bold"),
-        title_justify="left",
-        box=box.HORIZONTALS,
-        show_lines=True,
-    )
+    title = Text(one_line(comparison.scenario.name), style="bold")
+    table = Table(title=title, title_justify="left", box=box.HORIZONTALS, show_lines=True)
     table.add_column("controller and verdict", ratio=1, overflow="fold")
     for heading in SHOWN.values():
         table.add_column(Text(heading), justify="right", no_wrap=True)

@@ -316,21 +316,16 @@ class Geoms:
 
     def unseen(self, model: Any, named: Named) -> tuple[str, ...]:
         """Collision geoms that are not read, a sentence each."""
-        return tuple(
-            f"{named.geoms[row_of(form.geom, model.geom)]}: {why}"
-            for form in self._forms
-            if form.collides and (why := _why_unseen(form, self._files))
-        )
+        collide = ((f.geom, _why_unseen(f, self._files)) for f in self._forms if f.collides)
+        unseen = ((named.geoms[row_of(geom, model.geom)], why) for geom, why in collide if why)
+        return tuple(f"{frame}: {why}" for frame, why in unseen)
 
     def warnings(
         self, model: Any, named: Named, drawn: Sequence[Shape], collide: Sequence[Shape]
     ) -> tuple[str, ...]:
         """What is not drawn as it is, or weighs less than it should."""
-        missing = [
-            self._given[name] or f"{name}, of vertices"
-            for name, file in self._files.items()
-            if file is None or not os.path.isfile(file)
-        ]
+        gone = (k for k, file in self._files.items() if file is None or not os.path.isfile(file))
+        missing = [self._given[name] or f"{name}, of vertices" for name in gone]
         rows = [row_of(form.geom, model.geom) for form in self._light]
         visible = {shape.frame for shape in drawn}
         there = [shape for shape in collide if shape.mesh is None or os.path.isfile(shape.mesh)]

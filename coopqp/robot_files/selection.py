@@ -94,13 +94,8 @@ def _some_arms(value: Any) -> Any:
     return value
 
 
-Arms = Annotated[
-    dict[
-        str,
-        Annotated[ArmJoints, BeforeValidator(_arm_or_tip, json_schema_input_type=str | ArmJoints)],
-    ],
-    BeforeValidator(_some_arms),
-]
+_Arm = Annotated[ArmJoints, BeforeValidator(_arm_or_tip, json_schema_input_type=str | ArmJoints)]
+Arms = Annotated[dict[str, _Arm], BeforeValidator(_some_arms)]
 """Arms by name, each its tip's frame or {tip: frame, joints: [...]}; the first is the reference."""
 
 Locked = Annotated[
@@ -314,10 +309,8 @@ class _Selection:
         require_known("joint", arm.joints or (), self._description.joint_names, f"arm {name}: ")
         for joint in arm.joints or ():
             if joint not in way:
-                raise InvalidValueError(
-                    f"arm {name}: joint {joint} does not move the tip {arm.tip}; "
-                    f"those that do: {', '.join(way) or 'none'}"
-                )
+                words = f"tip {arm.tip}; those that do: {', '.join(way) or 'none'}"
+                raise InvalidValueError(f"arm {name}: joint {joint} does not move the {words}")
         return way if arm.joints is None else arm.joints
 
     def _check_free(self, joint: str) -> None:

@@ -235,15 +235,9 @@ ROUNDING = 1e-6
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 #: Words of MuJoCo files, and what URDF has for them.
 OTHERWISE = {
-    "hinge": "revolute",
-    "slide": "prismatic",
-    "free": "floating",
-    "body": "link",
-    "geom": "collision",
-    "pos": "xyz",
-    "euler": "rpy",
-    "file": "filename",
-}
+    "hinge": "revolute", "slide": "prismatic", "free": "floating", "body": "link",
+    "geom": "collision", "pos": "xyz", "euler": "rpy", "file": "filename",
+}  # fmt: skip
 
 
 def _check_schema(xml: Element) -> list[str]:

@@ -55,9 +55,8 @@ def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False
         raise InvalidValueError(str(error)) from None
     element = _Tree(path, kind, texts=texts).parsed(content)
     if element.tag not in roots:
-        raise InvalidValueError(
-            f"{path}:1: is not a {kind} file: starts with <{element.tag}>, needs <{roots[0]}>"
-        )
+        words = f"starts with <{element.tag}>, needs <{roots[0]}>"
+        raise InvalidValueError(f"{path}:1: is not a {kind} file: {words}")
     return element
 
 
@@ -128,10 +127,8 @@ def missing_meshes(name: str, missing: Sequence[str], count: int) -> tuple[str, 
     if not missing:
         return ()
     shown = ", ".join(missing[:2]) + (", ..." if len(missing) > 2 else "")
-    return (
-        f"{name}: {len(missing)} of {count} meshes cannot be found ({shown}); "
-        "links left without geometry are drawn as capsules",
-    )
+    gone = f"{len(missing)} of {count} meshes cannot be found ({shown})"
+    return (f"{name}: {gone}; links left without geometry are drawn as capsules",)
 
 
 def pinocchio_says(error: Exception) -> str:

@@ -43,10 +43,8 @@ class Topics:
         self.simulated = bool(node.get_parameter("use_sim_time").value)
         trajectories = settings.command == "trajectory"
         kind, topic = (TRAJECTORY, "joint_trajectory") if trajectories else (NUMBERS, "commands")
-        self._commands = {
-            name: node.create_publisher(_type(kind), f"/{name}/{topic}", 1)
-            for name in settings.controllers
-        }
+        publisher, message = node.create_publisher, _type(kind)
+        self._commands = {x: publisher(message, f"/{x}/{topic}", 1) for x in settings.controllers}
         self._diagnostics = node.create_publisher(_type(DIAGNOSTICS), "/diagnostics", 10)
         self._grippers: dict[str, Any] = {}
         places = settings.object_frame

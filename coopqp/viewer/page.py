@@ -318,10 +318,8 @@ class Scene:
             cell_color=(232, 234, 237), section_color=(214, 217, 221), fade_distance=6.0 * wide,
             shadow_opacity=0.0, position=(middle[0], middle[1], low[2]),
         )  # fmt: skip
-        self._drawn = [
-            _Controller(server, setup, (f"/law{i}", rgb(color)), send)
-            for i, color in enumerate(setup.laws.values())
-        ]
+        laws = [(f"/law{i}", rgb(color)) for i, color in enumerate(setup.laws.values())]
+        self._drawn = [_Controller(server, setup, law, send) for law in laws]
         self._ghost = _Controller(server, setup, ("/ghost", GOAL), send)
         self._gizmos = [self._gizmo(i) for i in range(len(setup.gizmos))]
         self._dragged = [0.0] * len(setup.gizmos)

@@ -21,8 +21,8 @@ from coopqp.trace import Trace
 FREE_REACH = 2.0 * np.pi  # shown range of a joint without limits, at most [rad or m]
 NEAR = 0.02  # of the range: a joint this near to a limit is shown first
 MAX_FIRST = 3  # rows of joints that are shown first
-PAPER_ROBOT = "nao_t14"
-PAPER_FIGURES = {f"q{k} of the right arm": f"Fig. {3 + k} of the paper" for k in range(1, 6)}
+PAPER_ROBOT, PAPER_JOINTS = "nao_t14", [f"q{k} of the right arm" for k in range(1, 6)]
+PAPER_FIGURES = {x: f"{x}, Fig. {k} of the paper" for k, x in enumerate(PAPER_JOINTS, start=4)}
 LOG_SHARE = 3.0  # times the limit, beyond which shares need a log scale
 MIN_SHARE = 1e-3  # on a log scale
 MAX_CRITERION = 3.0  # times the lowest line's maximum, beyond which lines are cut off
@@ -95,11 +95,7 @@ def _min_margin(chart: Chart, i: int) -> float:
 def _figures(chart: Chart, rows: list[Row]) -> list[Figure]:
     known = PAPER_FIGURES if chart.comparison.scenario.robot_model.name == PAPER_ROBOT else {}
     return [
-        replace(
-            _joint(chart, i),
-            about=f"{about}, {known[about]}" if about in known else about,
-            alone=len(row) == 1,
-        )
+        replace(_joint(chart, i), about=known.get(about, about), alone=len(row) == 1)
         for row in rows
         for i, about in row.items()
     ]

@@ -220,10 +220,7 @@ def freedom_figures(chart: Chart) -> list[Figure]:
     ratio, product, less = dict[str, _Curve](), dict[str, _Curve](), False
     for name, trace in ((name, chart.traces[name]) for name in chart.names):
         phases = zip(chart.problems[name], chart.instants(trace, MAX_SOLVED), strict=True)
-        known = [
-            (t := trace.t[rows], singular_values(problem, t - t[0], trace.q[rows]))
-            for problem, rows in phases
-        ]
+        known = [(t := trace.t[k], singular_values(p, t - t[0], trace.q[k])) for p, k in phases]
         less |= any(left(sigma).shape[1] < sigma.shape[1] for _, sigma in known)
         if movable := [(t, sigma) for t, sigma in known if left(sigma).size]:
             t = np.concatenate([t for t, _ in movable])

@@ -127,12 +127,8 @@ def _links(robot: RobotModel) -> list[Capsule]:
         ends.append([(j, X.translation.copy()) for j, X in zip(joints, places, strict=True)])
     reach = max(sum(float(np.linalg.norm(end)) for _, end in arm) for arm in ends)
     look: Any = {"name": "link", "start": (0.0, 0.0, 0.0), "radius": THICKNESS * reach}
-    links = (
-        Capsule(joint=model.names[joint], end=tuple(end.tolist()), **look)
-        for arm in ends
-        for joint, end in arm
-        if np.linalg.norm(end) > SHORT * reach
-    )
+    long = ((j, end) for arm in ends for j, end in arm if np.linalg.norm(end) > SHORT * reach)
+    links = (Capsule(joint=model.names[j], end=tuple(end.tolist()), **look) for j, end in long)
     return list(dict.fromkeys(links))  # arms share those of a torso
 
 

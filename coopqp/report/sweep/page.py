@@ -202,10 +202,8 @@ def _worst(name: str, rows: Sequence[int], varied: Sequence[str], columns: Colum
     shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
     numbers = columns.numbers("row")[list(rows)].astype(int)
-    linked = [
-        [f'<a href="{ROWS}/{number}.yaml">{number}</a>', *(v[k] for v in values)]
-        for k, number in enumerate(numbers)
-    ]
+    links = [f'<a href="{ROWS}/{number}.yaml">{number}</a>' for number in numbers]
+    linked = [[link, *(v[k] for v in values)] for k, link in enumerate(links)]
     heads = ["row", *(breakable(column).replace(".", ".<wbr>") for column in shown)]
     return f'{head}<div class="worst">{html_table(heads, linked)}</div>'
 
@@ -239,12 +237,8 @@ class Axis:
 
 def axes(study: Study, columns: Columns) -> list[Axis]:
     """All that takes more than one value, the first ones of many."""
-    sides = {
-        name: side
-        for one in study.varied
-        for name, side in zip(one.columns, one.over.sides, strict=False)
-        if isinstance(side, Interval)
-    }
+    pairs = (x for one in study.varied for x in zip(one.columns, one.over.sides, strict=False))
+    sides = {name: side for name, side in pairs if isinstance(side, Interval)}
     count = bins_for(study.points.count)
     every = (_axis(columns, name, sides.get(name), count) for name in study.columns)
     return [axis for axis in every if axis is not None and axis.count > 1][:MAX_AXES]

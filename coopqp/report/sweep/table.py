@@ -143,10 +143,8 @@ def shown(study: Study) -> Iterator[Callable[[State], None]]:
 def words(state: State) -> str:
     """Such as "120/2,048 variants, 35.2 a second, 1 min left, 3 rows invalid, 0 failed"."""
     left = f"{span(state.left)} left" if math.isfinite(state.left) else "time left unknown"
-    return (
-        f"{state.done:,}/{state.total:,} variants, {state.rate:.3g} a second, {left}, "
-        f"{state.states['invalid']:,} rows invalid, {state.states['failed']:,} failed"
-    )
+    rows = f"{state.states['invalid']:,} rows invalid, {state.states['failed']:,} failed"
+    return f"{state.done:,}/{state.total:,} variants, {state.rate:.3g} a second, {left}, {rows}"
 
 
 def span(seconds: float) -> str:
