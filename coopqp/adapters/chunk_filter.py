@@ -344,9 +344,10 @@ class ChunkFilter:
             row = row.copy()
             row[np.array(ARMS)[bad]] = self.units.motors(q)[bad]
         (x,), unit, fps = self.units.joints(row[None]), self.units.unit, self.settings.fps
+        outside, fast = np.maximum(self.lower - x, x - self.upper), np.abs(x - q) - self.step
         beyond = (
-            ("joint_position", np.maximum(self.lower - x, x - self.upper), 1.0, unit),
-            ("joint_velocity", np.abs(x - q) - self.step, fps, f"{unit}/s"),
+            ("joint_position", outside, 1.0, unit),
+            ("joint_velocity", fast, fps, f"{unit}/s"),
         )
         for limit, by, rate, of in beyond:
             for i in np.flatnonzero(by > found.rounding).tolist():

@@ -120,10 +120,8 @@ class MotorUnits:
         wanted = tuple(f"{side}/{joint}" for side in SIDES for joint in JOINTS)
         if chain.joint_names != wanted:
             found = ", ".join(chain.joint_names)
-            needed = f"{', '.join(wanted)}, as in the scenario two_so101"
-            raise InvalidValueError(
-                f"robot: found joints {found}; LeRobot's two arms need {needed}"
-            )
+            words = f"LeRobot's two arms need {', '.join(wanted)}, as in the scenario two_so101"
+            raise InvalidValueError(f"robot: found joints {found}; {words}")
         robot = replace(chain.robot, model=chain.robot.model.copy())
         model = robot.model
         model.lowerPositionLimit = np.maximum(chain.lower, self.offset - self.half_range)

@@ -91,13 +91,11 @@ def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     first, *others = heads
     words = [re.sub(r"<[^>]*>", " ", head.replace("<wbr>", "")).strip() for head in others]
     kinds = [' class="words"' if head in NAMES else "" for head in others]
+    tags = [f'<td{x} data-heading="{word}">' for x, word in zip(kinds, words, strict=True)]
     head = f'<th class="name">{first}</th>' + "".join(f"<th>{x}</th>" for x in others)
     body = "".join(
         f'<tr><th scope="row" class="name">{name}</th>'
-        + "".join(
-            f'<td{kind} data-heading="{word}">{cell}</td>'
-            for kind, word, cell in zip(kinds, words, cells, strict=True)
-        )
+        + "".join(f"{tag}{cell}</td>" for tag, cell in zip(tags, cells, strict=True))
         + "</tr>"
         for name, *cells in rows
     )
@@ -168,10 +166,8 @@ def _group(group: Group) -> str:
     hint = f'<p class="hint">{text(group.hint)}</p>' if group.hint else ""
     terms = ((text(term), text(meaning)) for term, meaning in group.terms.items())
     words = "".join(f'<p class="hint"><b>{term}</b>: {meaning}</p>' for term, meaning in terms)
-    shown, folded = (
-        f'<div class="grid">{"".join(map(_figure, figures))}</div>' if figures else ""
-        for figures in (group.figures, group.folded)
-    )
+    both = ("".join(map(_figure, figures)) for figures in (group.figures, group.folded))
+    shown, folded = (f'<div class="grid">{x}</div>' if x else "" for x in both)
     if folded:
         folded = f"<details><summary>{text(group.more)}</summary>{folded}</details>"
     lead = f'<div class="lead"><h2>{text(group.title)}</h2>{hint}{words}</div>'
@@ -194,11 +190,9 @@ def how_to_read(comparison: Comparison) -> Iterator[str]:
         "stay where it holds the object. This condition is the closed loop. The loop error is "
         "what steps of finite length leave; Baumgarte stabilisation with the gain κ pulls it back."
     )
-    advice = (
-        "the scenario's joint_acceleration bounds it"
-        if any(isinstance(limit, JointAcceleration) for limit in comparison.scenario.limits)
-        else "joint_acceleration in the scenario's limits bounds it here as well"
-    )
+    advice = "joint_acceleration in the scenario's limits bounds it here as well"
+    if any(isinstance(limit, JointAcceleration) for limit in comparison.scenario.limits):
+        advice = "the scenario's joint_acceleration bounds it"
     yield (
         "The acceleration is how fast the speed of a joint changes from one tick to the next. "
         "The loop for robots, OnlineLoop, allows as much as brings a joint from rest to its full "

@@ -203,10 +203,8 @@ SIZES: dict[str, Callable[[list[float]], tuple[float, ...]]] = {
 NOT_READ = ("hfield", "sdf")
 #: Mass [kg] and radius [m] of what stands for a geom, and what does so for a mesh.
 STAND_IN = 1e-9, 0.1
-TETRAHEDRON = Mesh(
-    np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
-    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
-)
+CORNERS = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+TETRAHEDRON = Mesh(np.vstack([np.zeros(3), np.eye(3)]), CORNERS)
 DRAWN = 2  # the last group that is
 
 
@@ -258,14 +256,9 @@ class Geoms:
 
     def _form(self, geom: Any) -> _Form:
         looks = not (geom.contype or geom.conaffinity)
-        return _Form(
-            geom=geom,
-            mesh=self._meshes.get(geom.meshname),
-            name=geom.meshname,
-            kind=self._mujoco.mjtGeom(geom.type).name.removeprefix("mjGEOM_").lower(),
-            collides=not looks,
-            drawn=looks or geom.group <= DRAWN,
-        )
+        kind = self._mujoco.mjtGeom(geom.type).name.removeprefix("mjGEOM_").lower()
+        mesh, drawn = self._meshes.get(geom.meshname), looks or geom.group <= DRAWN
+        return _Form(geom, mesh, geom.meshname, kind, collides=not looks, drawn=drawn)
 
     def _weighs(self, geom: Any) -> bool:
         """Whether a geom contributes to the mass of a moving body."""

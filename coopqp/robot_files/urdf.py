@@ -64,6 +64,8 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     collide, unread = _shapes(xml, "collision", path, package_dirs)
     missing = [part.get("filename", "") for _, part in undrawn if part.tag == "mesh"]
     meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
+    placed = ((x.get("name", ""), getattr(x, "place", "")) for x in xml.findall("joint"))
+    warnings = [*impossible, *(f"{path.name}: {line}" for line in printed)]
     return Description(
         name=xml.get("name") or path.stem,
         model=model,
@@ -71,16 +73,8 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         shapes=shapes,
         collision_shapes=collide,
         unseen=tuple(_why_unseen(frame, part) for frame, part in unread),
-        places={
-            joint.get("name", ""): place
-            for joint in xml.findall("joint")
-            if (place := getattr(joint, "place", ""))
-        },
-        warnings=(
-            *impossible,
-            *(f"{path.name}: {line}" for line in printed),
-            *missing_meshes(path.name, missing, meshes),
-        ),
+        places={name: place for name, place in placed if place},
+        warnings=(*warnings, *missing_meshes(path.name, missing, meshes)),
     )
 
 

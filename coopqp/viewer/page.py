@@ -26,6 +26,7 @@ MAX_LIMITS = 4  # that are listed by name
 FAREWELL = 0.2  # for the last messages to go out [s]
 
 Rgb = tuple[int, int, int]
+Send = Callable[[Action], None]
 
 LINK: Rgb = (214, 218, 222)
 NEAR: Rgb = (240, 228, 66)  # on the way to a limit
@@ -104,11 +105,7 @@ class _Panel:
     """The sentence, buttons, controllers, dials and the recording."""
 
     def __init__(
-        self,
-        gui: Any,
-        setup: PageSetup,
-        send: Callable[[Action], None],
-        arrange: Callable[[str, int], None],
+        self, gui: Any, setup: PageSetup, send: Send, arrange: Callable[[str, int], None]
     ) -> None:
         self._gui, self._setup, self._send, self._arrange = gui, setup, send, arrange
         gui.add_html(_head(setup))
@@ -300,7 +297,7 @@ def view(setup: PageSetup) -> tuple[Array, Array]:
 class Scene:
     """The scene of a page."""
 
-    def __init__(self, server: Any, setup: PageSetup, send: Callable[[Action], None]) -> None:
+    def __init__(self, server: Any, setup: PageSetup, send: Send) -> None:
         self._setup, self._send, self._server, self._scene = setup, send, server, server.scene
         self._size = max(setup.size)
         low, (middle, eye) = setup.low, view(setup)
@@ -385,17 +382,13 @@ class Scene:
 
 
 class _Controller:
-    def __init__(
-        self, server: Any, setup: PageSetup, drawn: tuple[str, Rgb], send: Callable[[Action], None]
-    ) -> None:
+    def __init__(self, server: Any, setup: PageSetup, drawn: tuple[str, Rgb], send: Send) -> None:
         scene, (name, self._color) = server.scene, drawn
         self._bodies = setup.bodies
         self._send, self._root = send, scene.add_frame(name, show_axes=False)
         look: Any = {"color": LINK, "side": "double", "flat_shading": True}
-        self._links = [
-            scene.add_mesh_simple(f"{name}/link{k}", surface.vertices, surface.corners, **look)
-            for k, surface in enumerate(body.surface for body in setup.bodies)
-        ]
+        add, surfaces = scene.add_mesh_simple, enumerate(body.surface for body in setup.bodies)
+        self._links = [add(f"{name}/link{k}", s.vertices, s.corners, **look) for k, s in surfaces]
         self._held = scene.add_box(f"{name}/object", color=self._color, dimensions=setup.size)
         size = max(setup.size)
         self._arrows, self._weight = (

@@ -53,14 +53,10 @@ def drawn(controller: SimulatedController, bodies: Sequence[Body]) -> Controller
     state = controller.plant.truth(controller.state)
     reached, errors = _goal_errors(controller, state)
     arrows, weight, squeeze = _forces(controller, state)
-    return replace(
-        still(state, bodies),
-        arrows=arrows,
-        weight=weight,
-        reached=reached,
-        errors=", ".join(filter(None, (errors, squeeze))),
-        broken=_broken(controller, state),
-    )
+    frame, broken = still(state, bodies), _broken(controller, state)
+    errors = ", ".join(filter(None, (errors, squeeze)))
+    frame = replace(frame, arrows=arrows, weight=weight)
+    return replace(frame, reached=reached, errors=errors, broken=broken)
 
 
 def still(state: State, bodies: Sequence[Body]) -> ControllerFrame:

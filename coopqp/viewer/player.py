@@ -312,11 +312,9 @@ class Player:
 
     def _outlines(self, controller: SimulatedController, gizmos: Sequence[Array | None]) -> Array:
         """The tasks' markers, and lines from the object to what can be dragged."""
-        ways = [
-            np.stack([controller.state.point(handle.point), pose[:3]])[None]
-            for handle, pose in zip(self._handles, gizmos, strict=True)
-            if pose is not None and handle.gizmo.moves
-        ]
+        pairs = zip(self._handles, gizmos, strict=True)
+        movable = [(h.point, X[:3]) for h, X in pairs if X is not None and h.gizmo.moves]
+        ways = [np.stack([controller.state.point(point), goal])[None] for point, goal in movable]
         return np.concatenate([picture.outlines(controller, self._place), *ways])
 
     def _verdict(

@@ -1,6 +1,6 @@
 """Joints over time between their limits, as in the paper's figures 4-8; limits; forces."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain as joined
@@ -94,11 +94,8 @@ def _min_margin(chart: Chart, i: int) -> float:
 
 def _figures(chart: Chart, rows: list[Row]) -> list[Figure]:
     known = PAPER_FIGURES if chart.comparison.scenario.robot_model.name == PAPER_ROBOT else {}
-    return [
-        replace(_joint(chart, i), about=known.get(about, about), alone=len(row) == 1)
-        for row in rows
-        for i, about in row.items()
-    ]
+    every = [(i, about, len(row) == 1) for row in rows for i, about in row.items()]
+    return [replace(_joint(chart, i), about=known.get(x, x), alone=one) for i, x, one in every]
 
 
 def _joint(chart: Chart, i: int) -> Figure:
@@ -124,9 +121,7 @@ def _joint_lines(chart: Chart, i: int) -> Lines:
     return chart.lines(lambda t: t.q[:, t.joints.index(name)] if name in t.joints else None)
 
 
-def _marks(
-    chart: Chart, name: str, y: Array, limits: tuple[float, float], shown: Window
-) -> list[Json]:
+def _marks(chart: Chart, name: str, y: Array, limits: Sequence[float], shown: Window) -> list[Json]:
     """A cross where a joint first leaves its limits, a triangle where it leaves the chart."""
     (lower, upper), marks = limits, []
     bounds = (
@@ -181,14 +176,9 @@ def _margin(chart: Chart, unit: str) -> Figure:
     best = max(0.1, *(float(y[np.isfinite(y)].max(initial=0.0)) for y in lines.values()))
     shown = curves.window(0.0, best, list(lines.values()), best)
     shown = Window(min(shown.bottom, -0.15 * best), shown.top)
-    return chart.figure(
-        f"Margin of the {'sliding joint' if unit == 'm' else 'joint'} nearest to its limit",
-        f"{unit}, negative beyond the limit",
-        lines,
-        shown,
-        lower=(0.0, "limit"),
-        noted=unit,
-    )
+    title = f"Margin of the {'sliding joint' if unit == 'm' else 'joint'} nearest to its limit"
+    about = f"{unit}, negative beyond the limit"
+    return chart.figure(title, about, lines, shown, lower=(0.0, "limit"), noted=unit)
 
 
 def _criterion(chart: Chart) -> list[Figure]:
@@ -216,11 +206,9 @@ def hands(chart: Chart) -> list[Figure]:
     """Normal force, use of friction and of pads by hand, slip; none where no hand presses."""
     if not any("normal_force" in trace.signals for trace in chart.traces.values()):
         return []
-    figures = []
+    figures, signals = [], ("normal_force", "friction_use", "edge_use")
     for i, arm in enumerate(_arms(chart)):
-        normal, use, edge = (
-            _of_hand(chart, name, i) for name in ("normal_force", "friction_use", "edge_use")
-        )
+        normal, use, edge = (_of_hand(chart, signal, i) for signal in signals)
         title = f"Friction that {arm} needs over what there is"
         figures.append(chart.plain(f"Normal force of {arm}", "N", normal))
         figures.append(_up_to_one(chart, title, "slips", use))

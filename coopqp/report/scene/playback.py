@@ -363,9 +363,7 @@ def short(values: Array) -> Any:
     return np.nan_to_num(values, posinf=0.0, neginf=0.0).round(4).tolist()
 
 
-def carried(
-    marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: Ints
-) -> dict[str, list[Json]]:
+def carried(marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: Ints) -> Json:
     """By kind, for ``playback.js``."""
     every: dict[str, list[Json]] = {"tracked": [], "postures": [], "relatives": []}
     for mark in marks:

@@ -310,11 +310,11 @@ class Binned:
         for i, j in pairs:
             a, b = self.axes[i], self.axes[j]
             cell, cells = a.code * b.count + b.code, a.count * b.count
-            counts = (
+            every, succeeded = (
                 [np.bincount(cell[rows], minlength=cells).tolist() for rows in kept]
                 for kept in (done, good)
             )
-            yield {"x": i, "y": j} | dict(zip(("all", "good"), counts, strict=True))
+            yield {"x": i, "y": j, "all": every, "good": succeeded}
 
     def bands(self, values: Array) -> list[list[list[list[float] | None]]]:
         """Quantiles of a column: by axis, by controller, by bin; None for an empty bin."""
