@@ -126,5 +126,4 @@ class MotorUnits:
         model = robot.model
         model.lowerPositionLimit = np.maximum(chain.lower, self.offset - self.half_range)
         model.upperPositionLimit = np.minimum(chain.upper, self.offset + self.half_range)
-        hold = replace(chain.hold, robot=robot, released=(robot.arms[1].name,))
-        return ClosedChain(hold)
+        return ClosedChain(replace(chain.hold, robot=robot, released=(robot.arms[1].name,)))

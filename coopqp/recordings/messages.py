@@ -377,8 +377,7 @@ class _Bag:
 
     def write(self, topic: str, kind: str, ns: int, **fields: Any) -> None:
         if topic not in self._topics:
-            added = self._writer.add_connection(topic, kind, typestore=self._store)
-            self._topics[topic] = added
+            self._topics[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
         data = self._store.serialize_cdr(Message(**fields), kind)
         self._writer.write(self._topics[topic], ns, data)
 

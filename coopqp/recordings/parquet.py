@@ -118,10 +118,9 @@ def arrow_schema(scenario: Scenario, controller: str, source: str, names: Iterab
 
 
 def _run(path: Path, table: Any) -> Run:
-    lists = {
-        name: x.to_numpy() if str(x.type) in ("double", "int64") else x.to_pylist()
-        for name, x in zip(table.column_names, table.columns, strict=True)
-    }
+    columns = zip(table.column_names, table.columns, strict=True)
+    numbers = ("double", "int64")
+    lists = {k: x.to_numpy() if str(x.type) in numbers else x.to_pylist() for k, x in columns}
     return run_of(path, f"{path}: row ", lists, np.arange(table.num_rows), str(path))
 
 

@@ -61,10 +61,8 @@ def cells(trace: Trace, metrics: Mapping[str, Any], runs: Iterable[Trace] = ()) 
     """The entries of one controller of several runs, by the keys of COLUMNS."""
     found, speed = assess(trace), metrics["velocity_violation_max"]
     too_fast = np.abs(trace.v) - trace.velocity
-    place, of_speed = (
-        trace.units[int(by.max(axis=0, initial=-np.inf).argmax())]
-        for by in (beyond(trace), too_fast)
-    )  # the unit of the worst joint
+    worst = (int(by.max(axis=0, initial=-np.inf).argmax()) for by in (beyond(trace), too_fast))
+    place, of_speed = (trace.units[joint] for joint in worst)
     apart = tuple(number(1e3 * size) for size in found.loop)
     is_open = None if found.held is False else not found.loop_closed
     failed, inaccurate = metrics["failed_ticks"], metrics["inaccurate_ticks"]

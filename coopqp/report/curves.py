@@ -271,8 +271,7 @@ class Chart:
 
     def layout(self, axis: Json, *levels: Json) -> Json:
         """Over the whole run, with a line where a phase begins."""
-        phases = self.any.phases
-        begins = [upright(float(self.any.t[p.first]), p.name, after=True) for p in phases]
+        begins = [upright(float(self.any.t[p.first]), p.name, after=True) for p in self.any.phases]
         return layout(self.end, axis, *begins, *levels)
 
     def figure(

@@ -52,8 +52,8 @@ class Study:
         return f"{self.scenario.name}, phase {self.phase}" if self.phase else self.scenario.name
 
     def verdict(self) -> str:
-        forces = self.forces.sentences() if self.forces else ()
-        return " ".join([self.mobility.verdict(), *forces])
+        of_forces = self.forces.sentences() if self.forces else ()
+        return " ".join([self.mobility.verdict(), *of_forces])
 
 
 def study(
@@ -171,8 +171,7 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
         for task in m.tasks
     ]
     if len(m.tasks) > 1:
-        free = _free(m.tasks_rank, m.tasks_weakest)
-        lines.append((f"all tasks, {m.tasks_rows} rows", "", free))
+        lines.append((f"all tasks, {m.tasks_rows} rows", "", _free(m.tasks_rank, m.tasks_weakest)))
     lines += [("impossible motion", "", screw.words()) for screw in m.impossible]
     lines += [("motion no motor decides", "", screw.words()) for screw in m.uncontrolled]
     lines += _force_rows(result.forces) if result.forces else []

@@ -179,8 +179,7 @@ def _figure(figure: Figure) -> str:
     about = f", {text(figure.about)}" if figure.about else ""
     kind = ' class="alone"' if figure.alone else ""
     caption = f"{text(figure.title)}<small>{about} [{text(figure.unit)}]</small>{notes}"
-    plot = '<div class="plot"></div>'
-    return f"<figure{kind}><figcaption>{caption}</figcaption>{plot}</figure>"
+    return f'<figure{kind}><figcaption>{caption}</figcaption><div class="plot"></div></figure>'
 
 
 def how_to_read(comparison: Comparison) -> Iterator[str]:

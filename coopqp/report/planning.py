@@ -185,10 +185,8 @@ def _picture(found: TimedPath, colors: dict[str, str]) -> str:
     pairs = list(zip(x, y, strict=True))
     for k, name in enumerate(found.active):
         parts.append(line(pairs[k : k + 2], colors.get(name, GRAY), 3.0))
-    for height, label in (
-        (HEIGHT - 12, f"length of the path, 0 to {way.s[-1]:.3g} rad"),
-        (MARGIN - 8, f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"),
-    ):
-        parts.append(f'<text x="{MARGIN}" y="{height}" font-size="13">{label}</text>')
+    label = f'<text x="{MARGIN}" y="{{}}" font-size="13">{{}}</text>'.format
+    above = f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"
+    parts.append(label(HEIGHT - 12, f"length of the path, 0 to {way.s[-1]:.3g} rad"))
     head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}">'
-    return "".join([head, *parts, "</svg>"])
+    return "".join([head, *parts, label(MARGIN - 8, above), "</svg>"])

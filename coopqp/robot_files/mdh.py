@@ -224,8 +224,7 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
             joint, X = placed[row.name]
             R = (data.oMi[joint] * X).rotation.T if row.axes == "base" else np.eye(3)
             about = R @ inertia_matrix(row.inertia) @ R.T
-            body = pin.Inertia(row.mass, R @ np.asarray(row.com), about)
-            model.appendBodyToJoint(joint, body, X)
+            model.appendBodyToJoint(joint, pin.Inertia(row.mass, R @ np.asarray(row.com), about), X)
     _add_tips(model, data, tips, placed)
     return model
 

@@ -241,8 +241,7 @@ class _Compiled:
             element = element if (own := element.find("inertial")) is None else own
         if words == "unknown element":
             words += f" '{element.tag}'"
-        hint = self._hint(words, element)
-        return fault(element, f"{words}{hint}", _attribute(words, element))
+        return fault(element, f"{words}{self._hint(words, element)}", _attribute(words, element))
 
     def _hint(self, words: str, element: ET.Element) -> str:
         """What an unknown word may have been meant to be."""

@@ -116,8 +116,7 @@ def joints_of(
 
 def kinds_of(scenario: Scenario) -> dict[str, Kind]:
     """Of the inputs that messages can give, the object's place among them where it may stand."""
-    followed = scenario.followed()
-    kinds = {name: kind for name, kind in followed.items() if name in scenario.inputs}
+    kinds = {name: kind for name, kind in scenario.followed().items() if name in scenario.inputs}
     return kinds | ({OBJECT_POSE: KIND_OF_POSE} if scenario.stands else {})
 
 
@@ -308,8 +307,7 @@ class Bridge:
         for name, indices in self._joints.ordered.items():
             self._transport.command(name, q[indices].tolist(), velocity[indices].tolist())
         if settings.object_frame:
-            turned = pin.Quaternion(state.R_WO).coeffs()
-            self._transport.place(state.p_WO.tolist(), turned.tolist())
+            self._transport.place(state.p_WO.tolist(), pin.Quaternion(state.R_WO).coeffs().tolist())
         self._causes |= dict.fromkeys(command.causes)
         self._note = command.told or self._note
         if self._loop.now - self._reported_at >= settings.diagnostics_every:
@@ -328,8 +326,7 @@ class Bridge:
         remarks = [self._loop_remark(why), *(_limits(loop) if loop.begun else ())]
         self._causes, self._note = {}, ()
         words = "; ".join(filter(None, (silence, refused)))
-        level = 2 if silence else int(bool(refused))
-        remarks.append(Remark("joint states", level, words, {}))
+        remarks.append(Remark("joint states", 2 if silence else int(bool(refused)), words, {}))
         stale = loop.state.inputs.stale
         for name in self._kinds:
             words = self._refused.pop(name, "") or ("is stale" if name in stale else "")

@@ -74,8 +74,7 @@ class Topics:
             point = _type(POINT)(positions=q, velocities=v)
             after = point.time_from_start
             after.sec, after.nanosec = divmod(round(self._dt * NS), NS)
-            names = self._joints.orders[controller]
-            message = _type(TRAJECTORY)(joint_names=names, points=[point])
+            message = _type(TRAJECTORY)(joint_names=self._joints.orders[controller], points=[point])
         else:
             message = _type(NUMBERS)(data=v if self._settings.command == "velocity" else q)
         self._commands[controller].publish(message)

@@ -418,8 +418,7 @@ class _Controller:
     def show(self, drawn: ControllerFrame | None) -> None:
         """Draw it as a ghost, or not at all."""
         if self._shown != (drawn is not None):
-            nothing = np.zeros(3)
-            self.place(shown=drawn is not None, ghost=True, shift=nothing, draggable=False)
+            self.place(shown=drawn is not None, ghost=True, shift=np.zeros(3), draggable=False)
             for body, node in zip(self._bodies, self._links, strict=True):
                 node.visible = body.joint > 0
         self.draw(drawn)

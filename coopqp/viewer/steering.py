@@ -118,10 +118,9 @@ def input_limits(scenario: Scenario) -> dict[str, Any]:
     limits: dict[str, Any] = {}
     usual = MotionLimits()
     for limit in (limit for limit in scenario.limits if isinstance(limit, ObjectSpeed)):
-        for key, speed, acceleration in (
-            ("velocity", limit.linear, usual.acceleration),
-            ("angular_velocity", limit.angular, usual.angular_acceleration),
-        ):
+        linear = "velocity", limit.linear, usual.acceleration
+        angular = "angular_velocity", limit.angular, usual.angular_acceleration
+        for key, speed, acceleration in (linear, angular):
             if speed:
                 slowest = max(VELOCITIES[0], RAMPS[0] * acceleration)
                 limits[key] = min(max(speed, slowest), VELOCITIES[1])
@@ -194,8 +193,7 @@ def _constant(task: Task, field: str, kind: Kind) -> tuple[float, ...] | None:
     value = getattr(task, field)
     angles: dict[str, Any] = {key: getattr(task, key, None) for key in ("rpy", "rpy_deg")}
     if kind is ROTATION and value is None and any(angles.values()):
-        R = pose_matrix(Pose(**angles)).rotation
-        return tuple(np.asarray(quaternion_of(R)).tolist())
+        return tuple(np.asarray(quaternion_of(pose_matrix(Pose(**angles)).rotation)).tolist())
     if kind is ROTATION or value is None or isinstance(value, Signal):
         return None
     if kind is DIRECTION:

@@ -176,10 +176,9 @@ def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
         return max(1.0, float(np.nan_to_num(np.max(ends), nan=np.inf)) / tasks[key].tolerance)
 
     order = sorted(tasks, key=missed, reverse=True)
-    first, others = (
-        [f for key, task in tasks.items() if key in part for f in _of_task(chart, task)]
-        for part in (order[:MAX_FIRST], order[MAX_FIRST:])
-    )
+    first, others = list[Figure](), list[Figure]()
+    for key, task in tasks.items():
+        (first if key in order[:MAX_FIRST] else others).extend(_of_task(chart, task))
     return first, others
 
 
@@ -243,11 +242,11 @@ def _log(
 def tick_times(chart: Chart) -> list[Figure]:
     """One for each language in which ticks were timed, with a box a controller."""
     timed = {name: tick_times_in(chart.traces[name]) for name in chart.names}
-    by_language = (
-        (language, {name: of[language] for name, of in timed.items() if language in of})
-        for language in LANGUAGES
-    )
-    return [_times(chart, language, times) for language, times in by_language if times]
+    figures = []
+    for language in LANGUAGES:
+        if times := {name: of[language] for name, of in timed.items() if language in of}:
+            figures.append(_times(chart, language, times))
+    return figures
 
 
 def _times(chart: Chart, language: str, times: Lines) -> Figure:

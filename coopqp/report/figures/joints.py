@@ -62,8 +62,7 @@ def joint_rows(chain: ClosedChain) -> list[Row]:
     """The joints as they are shown: those that arms share first, two equal arms side by side."""
     model, arms = chain.model, []
     for frame in chain.frames[chain.standing :]:
-        support = model.supports[model.frames[frame].parentJoint]
-        arms.append([j - 1 for j in support if j > 0])
+        arms.append([j - 1 for j in model.supports[model.frames[frame].parentJoint] if j > 0])
     counts = {j: sum(j in arm for arm in arms) for j in joined(*arms)}
     own = [[j for j in arm if counts[j] == 1] for arm in arms]
     names = [arm.name for arm in chain.arms[chain.standing :]]

@@ -248,8 +248,7 @@ def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[s
     near = np.clip(everything, starts.min(axis=0) - reach, starts.max(axis=0) + reach)
     shown = np.concatenate([near, goals])
     low, high = shown.min(axis=0), shown.max(axis=0)
-    rims = _rims(shown, 0.5 * (low + high))
-    return {"low": short(low), "high": short(high), "rims": short(rims)}
+    return {"low": short(low), "high": short(high), "rims": short(_rims(shown, 0.5 * (low + high)))}
 
 
 def _rims(points: Array, middle: Array) -> Array:

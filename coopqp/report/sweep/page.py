@@ -246,8 +246,7 @@ def axes(study: Study, columns: Columns) -> list[Axis]:
 
 def bins_for(variants: int) -> int:
     """So many that a cell of a map has enough rows; a multiple of four, for ticks."""
-    fitting = int(np.sqrt(variants / ROWS_A_CELL)) // 4 * 4
-    return min(BINS, max(MIN_BINS, fitting))
+    return min(BINS, max(MIN_BINS, int(np.sqrt(variants / ROWS_A_CELL)) // 4 * 4))
 
 
 def _axis(columns: Columns, name: str, side: Interval | None, count: int) -> Axis | None:
