@@ -177,7 +177,7 @@ class Lerobot(ExportFormat):
         for key, x in numbers.items():
             own = names if x.ndim > 1 else None
             stats[key] = _stats(x.reshape(count, -1).astype(float))
-            features[key] = {"dtype": str(x.dtype), "shape": [len(own or "1")], "names": own}
+            features[key] = {"dtype": str(x.dtype), "shape": [len(own) if own else 1], "names": own}
             kind = pa.list_(pa.float32(), len(own)) if own else None
             columns[key] = pa.array(list(x) if own else x, kind)
         pq.write_table(pa.table(columns), path / "data" / FIRST)

@@ -57,11 +57,9 @@ class Run:
         return list(dict.fromkeys(self.columns["controller"].tolist()))
 
     def place(self, k: int) -> str:
-        """Where a row stands."""
         return f"{self.at}{self.rows[k]}"
 
     def fault(self, k: int, message: str) -> InvalidValueError:
-        """What is wrong with a row."""
         return InvalidValueError(f"{self.place(k)}: {message}; the trace is damaged")
 
     def only(self, which: Any) -> Run:

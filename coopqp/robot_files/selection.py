@@ -331,7 +331,6 @@ class _Selection:
         return InvalidValueError(f"{self._description.joint(joint)}: {words}")
 
     def still_followers(self) -> list[str]:
-        """Warnings about locked joints that ought to follow one that moves."""
         return [
             f"{self._description.name}: joint {name} follows {follower.leader}, but is kept still"
             for name, follower in self._description.followers.items()

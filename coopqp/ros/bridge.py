@@ -175,7 +175,6 @@ class Clocks:
         self.compare()
 
     def compare(self) -> None:
-        """Read both clocks and update the offset."""
         before, there, after = self._own(), self._stamping() / NS, self._own()
         self._offset = min(max(self._offset, before - there), after - there)
 
@@ -314,7 +313,6 @@ class Bridge:
             self.say()
 
     def grip(self, grippers: Mapping[str, Gripper]) -> None:
-        """Send to each arm's gripper whether it shall be closed."""
         for arm, gripper in grippers.items():
             self._transport.grip(arm, gripper == "close")
 

@@ -84,10 +84,10 @@ class _Explainer:
 def serve_ways(peer: Peer, scenario: Scenario) -> None:
     """Answer until the player ends."""
     for snapshot in peer.messages():
-        peer.send(found(scenario, snapshot))
+        peer.send(way_round(scenario, snapshot))
 
 
-def found(scenario: Scenario, snapshot: Snapshot) -> WayRound:
+def way_round(scenario: Scenario, snapshot: Snapshot) -> WayRound:
     """A way from where the arms are to where the tasks are met with their inputs at the targets."""
     try:
         problem = problem_of(scenario, snapshot)

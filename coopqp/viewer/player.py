@@ -183,7 +183,6 @@ class Player:
         return bool(slow) and self._planned_for != self._goals()
 
     def ask_way(self) -> messages.Snapshot:
-        """The state from which a way round is looked for."""
         self._planned_for, self.way_round = self._goals(), None
         return self.snapshot()
 

@@ -73,7 +73,6 @@ class Place:
         self._start, self._size = scenario.chain.start_position, max(scenario.held.size)
 
     def drawn(self, mark: Marker) -> tuple[str, Json]:
-        """The kind and what is drawn."""
         match mark:
             case marker.LineMarker():
                 return self._line(mark)
@@ -309,7 +308,6 @@ class Shown:
 
     @property
     def frames(self) -> Json:
-        """The first and the last one."""
         return {"first": self.first, "last": self.first + len(self.values) - 1}
 
     def stacked(self, key: str) -> Array:
