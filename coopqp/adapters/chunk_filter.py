@@ -46,19 +46,14 @@ from coopqp.tasks import MinimumVelocity, Posture
 
 #: A law keeps so much more of a distance than is checked, for what linear rows leave out [m].
 SLACK = 1e-3
-#: On the way to a frame distances are checked each time a joint has gone so far [rad].
-LOOK = 0.05
-#: Shares of a step that are tried.
-SHARES = 0.5, 0.25, 0.125, 1 / 32, 1 / 128
+LOOK = 0.05  # on the way to a frame distances are checked each time a joint has gone so far [rad]
+SHARES = 0.5, 0.25, 0.125, 1 / 32, 1 / 128  # shares of a step that are tried
 #: Farther apart, bodies are not slowed down; a step is looked at before it is made [m].
 WITHIN = 0.06
-#: What rounding may add to a limit [rad; % of grippers].
-ROUNDING = 1e-9
-#: The same of what is recorded, in float32 [rad].
-RECORDED = 1e-6
+ROUNDING = 1e-9  # what rounding may add to a limit [rad; % of grippers]
+RECORDED = 1e-6  # the same of what is recorded, in float32 [rad]
 OPEN = 100.0  # of a gripper [%]
-#: A start is no start where a joint is farther from zero: four turns [rad].
-FARTHEST = 8.0 * np.pi
+FARTHEST = 8.0 * np.pi  # a start is no start where a joint is farther from zero: four turns [rad]
 
 
 @spec

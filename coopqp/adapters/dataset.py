@@ -18,8 +18,7 @@ from coopqp.base.spec import Array
 from coopqp.base.wording import counted, said
 from coopqp.scenario.scenario import Scenario
 
-#: Changes of an episode that its text shows.
-SHOWN = 3
+SHOWN = 3  # changes of an episode that its text shows
 
 
 @dataclass(frozen=True)

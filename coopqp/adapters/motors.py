@@ -28,10 +28,8 @@ MOTORS = tuple(f"{side}_{joint}" for side in SIDES for joint in (*JOINTS, GRIPPE
 KEYS = tuple(f"{motor}.pos" for motor in MOTORS)
 #: Columns of the arms' joints and of the grippers in an action.
 ARMS, GRIPPERS = [0, 1, 2, 3, 4, 6, 7, 8, 9, 10], [5, 11]
-#: Of a calibration file.
-MAX_BYTES = 1 << 20
-#: Degrees of a count, as LeRobot reckons.
-COUNT = 360.0 / 4095.0
+MAX_BYTES = 1 << 20  # of a calibration file
+COUNT = 360.0 / 4095.0  # degrees of a count, as LeRobot reckons
 
 
 @spec

@@ -31,12 +31,9 @@ from coopqp.robot_files.selection import JointLimits
 from coopqp.robots import Mjcf
 from coopqp.scenario.scenario import Scenario
 
-#: Velocity limit where none is given: robosuite and MJCF have none [rad/s].
-SPEED = 2.0
-#: Errors of joints from which on readings show them [rad].
-SHOWS = 1e-3
-#: Stiffness of robosuite's position servos, torque over inertia and error [1/s2].
-KP = 300.0
+SPEED = 2.0  # velocity limit where none is given: robosuite and MJCF have none [rad/s]
+SHOWS = 1e-3  # errors of joints from which on readings show them [rad]
+KP = 300.0  # stiffness of robosuite's position servos, torque over inertia and error [1/s2]
 
 
 def controllers(

@@ -43,8 +43,7 @@ JOINTS, TF, POSE, TICK = "/joint_states", "/tf", "/object_pose", "/coopqp/tick"
 #: Columns of joints that have a topic of their own below ``JOINTS``.
 OTHER_JOINTS = ("commanded", "measured")
 
-#: Shapes of what is said of tasks.
-ABOUT_TASKS = (column.TASK, column.ROW)
+ABOUT_TASKS = (column.TASK, column.ROW)  # shapes of what is said of tasks
 
 #: A margin up to which a limit holds something back, and below which it is broken [its unit].
 AT, BROKEN = 1e-6, -1e-6

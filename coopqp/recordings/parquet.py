@@ -35,8 +35,7 @@ from coopqp.scenario.scenario import Scenario
 GROUP = 10_000  # rows
 SCENARIO = b"coopqp.scenario"
 SUFFIX = ".arrows"
-#: What a stream that was closed ends with.
-END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+END = b"\xff\xff\xff\xff\x00\x00\x00\x00"  # what a stream that was closed ends with
 
 
 class Parquet(ExportFormat):
@@ -145,8 +144,7 @@ RUN = Path("meta", "coopqp.parquet")
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 FIRST = FILE.format(chunk_index=0, file_index=0)
 OPEN = 100.0  # of a gripper [%]
-#: By which times may be off the rate of a dataset [s], as in LeRobot.
-ROUNDING = 1e-4
+ROUNDING = 1e-4  # by which times may be off the rate of a dataset [s], as in LeRobot
 QUANTILES = 1, 10, 50, 90, 99
 #: Of the only episode, beside its length and statistics.
 ZEROS = (

@@ -30,12 +30,9 @@ from coopqp.solver import STANDS, Status
 
 #: A joint beyond it, or faster, is damage, and so is an error [rad, m; rad/s, m/s; N, N m].
 FARTHEST = 1e12
-#: Times of two phases that are the same may differ by this [s].
-ROUNDING = 1e-9
-#: More ticks than any run has.
-MAX_TICKS = 2**53
-#: After what a live loop's time stands still.
-_STANDS = {status.name for status in STANDS}
+ROUNDING = 1e-9  # times of two phases that are the same may differ by this [s]
+MAX_TICKS = 2**53  # more ticks than any run has
+_STANDS = {status.name for status in STANDS}  # after what a live loop's time stands still
 OTHER = "the trace is damaged, or it is of another scenario than the one beside it: run it again"
 
 

@@ -27,8 +27,7 @@ from coopqp.scenario.yaml import parsed, with_keys
 PATH = "plan.csv"
 #: Of a timed path: its table, and the page that shows what is active where.
 TIMED, PAGE = "timed.csv", "timed.html"
-#: Headings of its limits.
-TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")
+TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")  # headings of its limits
 #: Size of a picture, and of its margin [px]; colours of the limits that are active longest.
 WIDTH, HEIGHT, MARGIN, GRAY = 940, 320, 40, "#555555"
 COLORS = PALETTE[:-1]  # the frame is black

@@ -29,8 +29,7 @@ from coopqp.base.spec import (
 )
 from coopqp.model.grasp_configuration import check_inertia, inertia_matrix
 
-#: sin(alpha) below which two axes count as parallel.
-PARALLEL_AXES = 1e-8
+PARALLEL_AXES = 1e-8  # sin(alpha) below which two axes count as parallel
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -132,8 +132,7 @@ def _face(place: str, words: list[bytes], last: int) -> list[int]:
 MAX_NODES, MAX_CORNERS = 10_000, 10_000_000
 #: Geometry with faces; lines and points are ignored.
 FACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
-#: Parts of a node that would move its geometry.
-NOT_READ = ("lookat", "skew", "instance_controller")
+NOT_READ = ("lookat", "skew", "instance_controller")  # parts of a node that would move its geometry
 
 
 def _collada(path: Path) -> tuple[Array, Ints]:

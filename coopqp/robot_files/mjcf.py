@@ -55,8 +55,7 @@ NOT_READ = {
 }
 #: Attributes that name something, which may be called "nan".
 NAMES = ("name", "class", "childclass", "model", "file", "joint", "joint1", "joint2", "mesh")
-#: Letters of an attribute or its name; MuJoCo truncates long messages, with the line.
-LONGEST = 250
+LONGEST = 250  # letters of an attribute or its name; MuJoCo truncates long messages, with the line
 LONG = ("vertex", "normal", "texcoord", "face", "user", "file")  # that may be longer
 NOT_A_NUMBER = re.compile(r"(^|\s)[+-]?nan", re.IGNORECASE)
 #: MuJoCo's messages, and plainer ones.

@@ -27,8 +27,7 @@ from coopqp.robot_files.meshes import Mesh, read_mesh
 from coopqp.robot_files.selection import Follower
 from coopqp.robot_files.xml import missing_meshes
 
-#: Prefix of a geom's name that a body has already; names in files may have it, too.
-WORLD = "world/"
+WORLD = "world/"  # prefix of a geom's name that a body has already; names in files may have it, too
 #: Numbers of MuJoCo's kinds of joints, motors and equalities.
 FREE, BALL, SLIDE, HINGE = 0, 1, 2, 3
 AT_JOINT, FIXED_GAIN, NO_BIAS, OF_CONTROL, JOINT_TIE = (0, 1), 0, 0, (0, 2, 3), 2
@@ -89,7 +88,10 @@ def pinocchio_model(model: Any, named: Named) -> pin.Model:
                 at_anchor = X * anchor * _back_to_zero(model, joint)
                 parent = _add_joint(made, model, joint, parent, at_anchor, named.joints[joint])
                 X = anchor.inverse()
-        made.appendBodyToJoint(parent, _inertia(model, body), X)
+        own = pose(model.body_ipos[body], model.body_iquat[body])
+        moments = own.rotation @ np.diag(model.body_inertia[body]) @ own.rotation.T
+        inertia = pin.Inertia(float(model.body_mass[body]), own.translation, moments)
+        made.appendBodyToJoint(parent, inertia, X)
         made.addBodyFrame(named.bodies[body], parent, X, 0)
         at.append((parent, X))
     turned = [dof for dof in range(model.nv) if model.jnt_type[model.dof_jntid[dof]] != FREE]
@@ -132,12 +134,6 @@ def _back_to_zero(model: Any, joint: int) -> pin.SE3:
 def pose(p: Array, quaternion: Array) -> pin.SE3:
     """Of a position and a quaternion with w first."""
     return pin.SE3(pin.Quaternion(*map(float, quaternion)).matrix(), np.array(p))
-
-
-def _inertia(model: Any, body: int) -> pin.Inertia:
-    X = pose(model.body_ipos[body], model.body_iquat[body])
-    moments = X.rotation @ np.diag(model.body_inertia[body]) @ X.rotation.T
-    return pin.Inertia(float(model.body_mass[body]), X.translation, moments)
 
 
 def _effort(model: Any, joint: int) -> float:
@@ -199,8 +195,7 @@ SIZES: dict[str, Callable[[list[float]], tuple[float, ...]]] = {
     "capsule": lambda size: (size[0], 2.0 * size[1]),
     "cylinder": lambda size: (size[0], 2.0 * size[1]),
 }
-#: Kinds that neither pinocchio nor coal has.
-NOT_READ = ("hfield", "sdf")
+NOT_READ = ("hfield", "sdf")  # kinds that neither pinocchio nor coal has
 #: Mass [kg] and radius [m] of what stands for a geom, and what does so for a mesh.
 STAND_IN = 1e-9, 0.1
 CORNERS = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

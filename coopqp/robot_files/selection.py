@@ -123,8 +123,7 @@ class JointLimits:
             raise ValueError(wrong)
 
 
-#: A limit of this size is none; files write 1e10, 1e16 or 3.4e38 for it.
-BEYOND = 1e9
+BEYOND = 1e9  # a limit of this size is none; files write 1e10, 1e16 or 3.4e38 for it
 
 
 @spec
@@ -266,8 +265,7 @@ KINDS = {
 #: has none.
 FIXED_BASE = "root_joint"
 
-#: Suffix of frames' names for a moment; no name in a file ends so.
-NAMESAKE = "\0namesake"
+NAMESAKE = "\0namesake"  # suffix of frames' names for a moment; no name in a file ends so
 
 
 class _Selection:

@@ -224,8 +224,7 @@ KNOWN: dict[str, Known] = {
     "sphere": Known("name", required="radius", numbers={"radius": _LENGTH}),
     "mesh": Known("filename", required="filename", lenient="attributes", numbers={"scale": _THREE}),
 }  # fmt: skip
-#: Rounding error of a principal moment [kg m2].
-ROUNDING = 1e-6
+ROUNDING = 1e-6  # rounding error of a principal moment [kg m2]
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 #: Words of MuJoCo files, and what URDF has for them.
 OTHERWISE = {
@@ -296,8 +295,7 @@ def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
     return end
 
 
-#: Joints between a link and the base; the parser in C++ crashes with some thousands.
-LONGEST = 500
+LONGEST = 500  # joints between a link and the base; the parser in C++ crashes with some thousands
 
 
 def _check_circles(moved_by: Mapping[str, Element], parents: Mapping[str, str]) -> None:

@@ -19,8 +19,7 @@ from coopqp.base.reading import read_bytes
 MAX_BYTES = 32 << 20  # of a file
 MAX_ELEMENTS = 100_000  # in a file
 MAX_DEPTH = 150  # elements inside elements
-#: Similarity from which one name is another misspelt: "axes" and "axis" have 0.75.
-ALIKE = 0.75
+ALIKE = 0.75  # similarity from which one name is another misspelt: "axes" and "axis" have 0.75
 
 
 class Element(ET.Element):
@@ -73,7 +72,7 @@ class _Tree:
         self._parser.StartDoctypeDeclHandler = self._doctype
         self._parser.buffer_text = True
         if texts:
-            self._parser.CharacterDataHandler = self._text
+            self._parser.CharacterDataHandler = lambda text: self._texts[-1].append(text)
 
     def parsed(self, content: bytes) -> Element:
         try:
@@ -109,9 +108,6 @@ class _Tree:
 
     def _end(self, tag: str) -> None:
         self._open.pop().text = "".join(self._texts.pop())
-
-    def _text(self, text: str) -> None:
-        self._texts[-1].append(text)
 
     def _doctype(self, *_: Any) -> None:
         raise self._fault("has a DOCTYPE, which is not read; take it out")

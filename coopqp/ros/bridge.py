@@ -34,10 +34,8 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
 TWIST = "geometry_msgs/msg/TwistStamped"
 Commanded = Literal["velocity", "position", "trajectory"]
-#: Messages that wait for a tick at most; older ones are dropped.
-QUEUE_SIZE = 1000
-#: Nanoseconds in a second.
-NS = 1_000_000_000
+QUEUE_SIZE = 1000  # messages that wait for a tick at most; older ones are dropped
+NS = 1_000_000_000  # nanoseconds in a second
 
 
 @spec

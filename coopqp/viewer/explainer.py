@@ -26,8 +26,7 @@ from coopqp.viewer.messages import Explanation, Snapshot, WayRound
 from coopqp.viewer.steering import at_targets, with_dials
 from coopqp.viewer.worker import Peer
 
-#: How long a way is looked for [s].
-SECONDS = 5.0
+SECONDS = 5.0  # how long a way is looked for [s]
 #: How far from where the arms are a way may begin, first to last [rad, m], and tries for each.
 NEAR, TRIES = (0.0, 0.001, 0.003, 0.01, 0.03), 64
 

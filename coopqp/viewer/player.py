@@ -25,10 +25,8 @@ from coopqp.viewer.simulated_controller import SimulatedController
 from coopqp.viewer.steering import Handle, Recording, dials_of, handles, with_dials, with_inputs
 
 SLOWEST, FASTEST = 0.05, 4.0
-#: Range of the slider of a force whose input has no bounds [N, N m].
-MAX_FORCE = 100.0
-#: Arms that are blocked and slower are stuck [rad/s, m/s].
-STUCK = 0.02
+MAX_FORCE = 100.0  # range of the slider of a force whose input has no bounds [N, N m]
+STUCK = 0.02  # arms that are blocked and slower are stuck [rad/s, m/s]
 #: How far a ghost goes between two frames [s], and ticks that it stays at the end.
 GHOST_STEP, GHOST_RESTS = 1.0 / 30.0, 50
 ENDED = "explanations have ended with their process; begin coopqp play anew to have them"

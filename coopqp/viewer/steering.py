@@ -54,8 +54,7 @@ KAPPA = "kappa"
 SQUEEZE = "squeeze"
 #: Least upper ends of sliders; twice a scenario's value where that is more.
 MAX_GAIN, MAX_WEIGHT, MAX_PRIORITY = 20.0, 10.0, 3
-#: Smallest gain [1/s], and steps of a slider.
-MIN_GAIN, STEPS = 0.1, 200
+MIN_GAIN, STEPS = 0.1, 200  # smallest gain [1/s], and steps of a slider
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,7 @@ PLACES = {
 }  # fmt: skip
 #: What moves with the robot, and so differs between controllers.
 TRACKED, POSTURE, RELATIVE = "tracked", "posture", "relative"
-#: What stands still, and is drawn as the robot is.
-SOLID = "solid"
+SOLID = "solid"  # what stands still, and is drawn as the robot is
 #: Kinds of markers whose fields are drawn as they are.
 AS_THEY_ARE: dict[type, str] = {
     marker.PointMarker: "goals", marker.CircleMarker: "circles", marker.SphereMarker: "spheres",
