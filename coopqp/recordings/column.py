@@ -283,10 +283,7 @@ def of_field(name: str, layout: Layout) -> list[str]:
 
 
 def columns_of(trace: Trace) -> dict[str, NDArray[Any]]:
-    """All that is recorded of a run, with a row an instant; of the end there is no tick.
-
-    What is not finite is empty.
-    """
+    """All that is recorded of a run, a row an instant; the end has no tick. Empty: not finite."""
     layout, found = layout_of([trace]), dict[str, NDArray[Any]]()
     for line in TABLE:
         values = line.values(trace)

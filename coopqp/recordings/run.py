@@ -178,10 +178,7 @@ class Format(ABC):
 
     @abstractmethod
     def read(self, path: Path) -> Run:
-        """All rows of a file.
-
-        CoopqpError: none, or damaged; MissingDependencyError: no package that reads it.
-        """
+        """All rows; CoopqpError: no such file, or damaged; MissingDependencyError: no package."""
 
     @abstractmethod
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:

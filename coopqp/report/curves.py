@@ -287,12 +287,9 @@ class Chart:
         steps: bool = False,
         rows: slice = ALWAYS,
         extra: Iterable[Json] = (),
-        noted: str | None = None,
+        noted: str | None = None,  # unit in which notes tell of lines that leave the chart
     ) -> Figure:
-        """Lines at some rows of the trace; hatched beyond a lower and an upper bound, with names.
-
-        Notes tell of lines that leave the chart if their unit is ``noted``.
-        """
+        """Lines at some rows of the trace; hatched beyond lower and upper bound, with names."""
         t, ends = self.any.t[rows], ((lower, False), (upper, True))
         bounds = [level(*of, above=up, log=log) for of, up in ends if math.isfinite(of[0])]
         hatched = [(shown.bottom, lower[0]), (upper[0], shown.top)]

@@ -93,11 +93,7 @@ KEYWORDS = (
 
 
 def read_mjcf(path: Path) -> Description:
-    """Read a MuJoCo file.
-
-    InvalidValueError: no such file, or not an MJCF file. MissingDependencyError: mujoco is not
-    installed.
-    """
+    """Read a MuJoCo file; InvalidValueError: none, or no MJCF; MissingDependencyError: mujoco."""
     xml = read_xml(path, ["mujoco"], "MJCF")
     _Includes(absolute(path)).fill_in(xml)
     _take_out(xml)

@@ -51,10 +51,7 @@ class Topics:
         self._tf = node.create_publisher(_type(TRANSFORMS), "/tf", 10) if places else None
 
     def subscribe(self, kind: str, topic: str, take: Any) -> None:
-        """Subscribe, with the QoS of sensors: lost messages are not sent again.
-
-        CoopqpError: no topic can be called so.
-        """
+        """Subscribe; lost messages are not sent again. CoopqpError: no topic can be called so."""
         from rclpy.qos import qos_profile_sensor_data
 
         try:

@@ -161,10 +161,7 @@ def groups(comparison: Comparison) -> list[Group]:
 
 
 def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
-    """Of the tasks that miss their goal most, and of the others, each in their order.
-
-    Each to its goal, and beside it to its reference where that is on its way.
-    """
+    """To goals and moving references, of tasks that miss most, and of others; each in order."""
     tasks: dict[tuple[str, int | None], TaskInfo] = {}
     for trace in (chart.any, *chart.traces.values()):  # whose tasks may differ
         for task in trace.tasks:

@@ -133,15 +133,12 @@ Quantity = Coordinate | Tilt
 
 @dataclass(frozen=True)
 class Target:
-    """A task's goal of a quantity at times t [s], shape (i,) each; NaN where it is free.
-
-    References are by controller; none where the reference does not move there.
-    """
+    """A task's goal of a quantity at times t [s], shape (i,) each; NaN where it is free."""
 
     task: str
     t: Array
     goal: Array
-    references: dict[str, Array] = field(default_factory=dict)
+    references: dict[str, Array] = field(default_factory=dict)  # that move, by controller
 
 
 def object_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
