@@ -24,7 +24,7 @@ from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.notes import Why, note_of
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.phases import OBJECT_POSE, Gripper
-from coopqp.recordings.messages import AT, BROKEN, Remark, level_of
+from coopqp.recordings.messages import AT, BROKEN, NS, Remark, level_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POSE as KIND_OF_POSE
 from coopqp.signal import Kind
@@ -35,7 +35,6 @@ POSE = "geometry_msgs/msg/PoseStamped"
 TWIST = "geometry_msgs/msg/TwistStamped"
 Commanded = Literal["velocity", "position", "trajectory"]
 QUEUE_SIZE = 1000  # messages that wait for a tick at most; older ones are dropped
-NS = 1_000_000_000  # nanoseconds in a second
 
 
 @spec

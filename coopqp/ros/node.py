@@ -11,10 +11,9 @@ from typing import Any
 from coopqp.base.errors import CoopqpError, InvalidValueError, MissingDependencyError
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.real_time import Ended, real_time
-from coopqp.recordings.messages import Remark
+from coopqp.recordings.messages import NS, Remark
 from coopqp.ros.bridge import (
     JOINT_STATE,
-    NS,
     Bridge,
     Joints,
     RosSettings,

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from coopqp.assessment.thresholds import AT_LIMIT, TOO_FAST, closed, matters, within
 from coopqp.base.spec import Array
-from coopqp.kernel.trajectory_evaluation import joint_points
+from coopqp.execution.instants import arm_points
 from coopqp.model.marker import SolidMarker, asked
 from coopqp.model.state import State
 from coopqp.report.scene.bodies import Body, moved, robot_bodies, solid_body
@@ -161,9 +161,8 @@ def _forces(controller: SimulatedController, state: State) -> tuple[Array, Array
     longest = max(float(np.linalg.norm(forces, axis=1).max()), down, MIN_FORCE)
     size = max(controller.run.scenario.held.size)
     scale = ARROW * size / longest
-    of_arms = state.chain.once(joint_points)
-    tips = (of_arms[arm.name][-1] for arm in state.chain.robot.arms)
-    hands = np.array([state.joint_pose(joint).act(p) for joint, p in tips])
+    points_of = arm_points(state.chain, state.q[None])
+    hands = np.array([points_of[arm.name][0, -1] for arm in state.chain.robot.arms])
     hands[:, 2] += ABOVE * size
     below = state.p_WO - [0.0, 0.0, BELOW * size]
     arrows = np.stack([hands - scale * forces, hands], axis=1)

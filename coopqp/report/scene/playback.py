@@ -21,11 +21,10 @@ from coopqp.base.spec import Array, type_name
 from coopqp.closed_loop.forces import squeezes
 from coopqp.execution.comparison import Comparison
 from coopqp.execution.instants import arm_points
-from coopqp.limit import Limit
 from coopqp.model import marker
 from coopqp.model.marker import Marker, asked
 from coopqp.report.cells import length
-from coopqp.report.curves import styles
+from coopqp.report.curves import Json, styles
 from coopqp.report.figures.joints import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, moved, robot_bodies, solid_body
 from coopqp.robot import RobotModel
@@ -33,8 +32,6 @@ from coopqp.robot_files.meshes import Ints
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks.posture import posture
 from coopqp.trace import Trace
-
-Json = dict[str, Any]
 
 GRAVITY = 9.81  # [m/s2]
 LONGEST = 1.3  # length of the longest arrow, in longest edges of the object
@@ -325,10 +322,9 @@ def shown_marks(scenario: Scenario, frames: Ints, trace: Trace, faults: list[str
     for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
         own = np.flatnonzero(phases == i).tolist()
         times = {k: float(trace.t[frames[k]]) - tick * scenario.dt for k in own}
-        sources: list[Any] = [*phase.tasks, *scenario.limits]
-        for source in sources:
-            limit = isinstance(source, Limit)
-            name = type_name(type(source)) if limit else source.name
+        sources: list[Any] = [(task, task.name, False) for task in phase.tasks]
+        sources += [(limit, type_name(type(limit)), True) for limit in scenario.limits]
+        for source, name, limit in sources:
             current: dict[tuple[int, str], Shown] = {}  # which may come and go
             for k, t in times.items():
                 at = t if limit else trace.moment(int(frames[k]), t)
