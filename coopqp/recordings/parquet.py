@@ -208,10 +208,8 @@ def _frames(run: Run, scenario: Scenario) -> tuple[list[str], dict[str, NDArray[
     if off > ROUNDING:
         words = f"time is up to {off:.3g} s off one tick each {scenario.dt:g} s"
         raise CoopqpError(f"{run.path}: {words}, and a dataset of LeRobot has one rate")
-    q, commanded, measured, v = (
-        ticks.joints(name, robot.joint_names, empty=name in ("commanded", "measured"))
-        for name in ("q", "commanded", "measured", "v")
-    )
+    names, gaps = robot.joint_names, ("commanded", "measured")
+    q, commanded, measured, v = (ticks.joints(x, names, empty=x in gaps) for x in ("q", *gaps, "v"))
     goal = np.where(np.isnan(commanded), q, commanded) + scenario.dt * v
     at, grips = _columns(ticks, scenario)
     state = np.where(np.isnan(measured), q, measured)

@@ -199,14 +199,11 @@ def _free(rank: int, weakest: float) -> str:
 def schemes(result: Study) -> list[tuple[str, str, str]]:
     """The named and the best schemes with their condition at generic poses and at the start."""
     m = result.mobility
-    return [
-        (
-            ", ".join(s.joints),
-            f"{s.condition:.3g}" if s.admissible else "inadmissible",
-            f"{s.condition_start:.3g}" if s.admissible_start else "singular",
-        )
-        for s in ([m.asked] if m.asked else []) + list(m.schemes[:SHOWN])
-    ]
+    shown = ([m.asked] if m.asked else []) + list(m.schemes[:SHOWN])
+    joints = (", ".join(s.joints) for s in shown)
+    generic = (f"{s.condition:.3g}" if s.admissible else "inadmissible" for s in shown)
+    start = (f"{s.condition_start:.3g}" if s.admissible_start else "singular" for s in shown)
+    return list(zip(joints, generic, start, strict=True))
 
 
 def tables(result: Study) -> list[Table]:

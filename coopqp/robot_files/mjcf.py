@@ -206,6 +206,8 @@ class _Compiled:
             words = f"is not a robot that can be read: {pinocchio_says(error)}"
             raise fault(self._elements[0], words) from None
         drawn, collide = self._geoms.shapes(self._model, named)
+        joints = ((x, self._element(x.info or x.parent.info)) for x in self._spec.joints)
+        placed = ((row_of(x, self._model.joint), getattr(e, "place", "")) for x, e in joints)
         return Description(
             name=self._elements[0].get("model") or self._path.stem,
             model=model,
@@ -215,11 +217,7 @@ class _Compiled:
             collision_shapes=collide,
             unseen=self._geoms.unseen(self._model, named),
             warnings=self._geoms.warnings(self._model, named, drawn, collide),
-            places={
-                named.joints[row_of(joint, self._model.joint)]: place
-                for joint in self._spec.joints
-                if (place := getattr(self._element(joint.info or joint.parent.info), "place", ""))
-            },
+            places={named.joints[i]: place for i, place in placed if place},
         )
 
     def _element(self, message: str) -> ET.Element:

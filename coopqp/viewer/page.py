@@ -330,12 +330,9 @@ class Scene:
         across = np.array([1.0, 0.0, 0.0] if size[0] > size[1] else [0.0, -1.0, 0.0])
         width = SPACED * float(np.abs(across) @ size)
         for i, drawn in enumerate(self._drawn):
-            drawn.place(
-                shown=how != "one" or i == main,
-                ghost=how == "overlaid" and i != main,
-                shift=width * (i - main) * across if how == "apart" else np.zeros(3),
-                draggable=i == main,
-            )
+            shift = width * (i - main) * across if how == "apart" else np.zeros(3)
+            shown, ghost = how != "one" or i == main, how == "overlaid" and i != main
+            drawn.place(shown=shown, ghost=ghost, shift=shift, draggable=i == main)
         if how == "apart":  # the camera steps back
             middle = self._middle + width * (0.5 * (len(self._drawn) - 1) - main) * across
             for client in self._server.get_clients().values():
