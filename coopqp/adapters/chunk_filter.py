@@ -15,7 +15,6 @@ in which the same hands hold are one call of the compiled kernel.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -47,19 +46,14 @@ from coopqp.tasks import MinimumVelocity, Posture
 
 #: A law keeps so much more of a distance than is checked, for what linear rows leave out [m].
 SLACK = 1e-3
-#: On the way to a frame distances are checked each time a joint has gone so far [rad].
-LOOK = 0.05
-#: Shares of a step that are tried.
-SHARES = 0.5, 0.25, 0.125, 1 / 32, 1 / 128
+LOOK = 0.05  # on the way to a frame distances are checked each time a joint has gone so far [rad]
+SHARES = 0.5, 0.25, 0.125, 1 / 32, 1 / 128  # shares of a step that are tried
 #: Farther apart, bodies are not slowed down; a step is looked at before it is made [m].
 WITHIN = 0.06
-#: What rounding may add to a limit [rad; % of grippers].
-ROUNDING = 1e-9
-#: The same of what is recorded, in float32 [rad].
-RECORDED = 1e-6
+ROUNDING = 1e-9  # what rounding may add to a limit [rad; % of grippers]
+RECORDED = 1e-6  # the same of what is recorded, in float32 [rad]
 OPEN = 100.0  # of a gripper [%]
-#: A start is no start where a joint is farther from zero: four turns [rad].
-FARTHEST = 8.0 * np.pi
+FARTHEST = 8.0 * np.pi  # a start is no start where a joint is farther from zero: four turns [rad]
 
 
 @spec
@@ -227,8 +221,8 @@ class ChunkFilter:
         return row
 
     def _started(self, start: Any) -> Array:
-        asked = [start] if isinstance(start, Mapping) else start
-        row: Array = self._array(asked, self._last(), "start")[0]
+        frames = [start] if isinstance(start, Mapping) else start
+        row: Array = self._array(frames, self._last(), "start")[0]
         if not np.isfinite(row).all():
             raise InvalidValueError("start: needs a finite number for each motor")
         far = np.abs(self.units.joints(row[None])[0]) > FARTHEST
@@ -241,7 +235,7 @@ class ChunkFilter:
         """Frames (N, 12); what dicts leave out is as in the frame before."""
         try:
             if isinstance(chunk, Sequence) and any(isinstance(row, Mapping) for row in chunk):
-                return np.array([*itertools.accumulate(chunk, _told, initial=last)][1:])
+                return np.array([*itertools.accumulate(chunk, _frame, initial=last)][1:])
             found = real(chunk)
         except ValueError as error:
             raise InvalidValueError(f"{what}: {message_of(error)}") from None
@@ -254,15 +248,16 @@ class ChunkFilter:
 
     def _gripped(self, wished: Array) -> Array:
         """What grippers are told, shape (N, 2): in their range and speed."""
-        last, most = self._grips, self._grip_step + ROUNDING
+        step, moves = self._grip_step, np.diff(wished, axis=0, prepend=self._grips[None])
         inside = (wished >= -ROUNDING) & (wished <= OPEN + ROUNDING)  # of NaN it is False
-        if inside.all() and (np.abs(np.diff(wished, axis=0, prepend=last[None])) <= most).all():
+        if inside.all() and (np.abs(moves) <= step + ROUNDING).all():
             return wished
-        steps = [
-            _stepped(x, a, self._grip_step)
-            for x, a in zip(wished.T.tolist(), last.tolist(), strict=True)
-        ]
-        return np.array(steps).T
+
+        def stepped(last: Array, wish: Array) -> Array:
+            near = np.clip(np.clip(wish, last - step, last + step), 0.0, OPEN)
+            return np.where(np.isfinite(wish), near, last)
+
+        return np.array([*itertools.accumulate(wished, stepped, initial=self._grips)][1:])
 
     def _follow(
         self, given: Array, q: Array, holding: NDArray[np.bool_], taken: Array | None, *,
@@ -273,20 +268,21 @@ class ChunkFilter:
         Recorded ones are asked for from where the one before was, not where it led.
         """
         x = self.units.joints(given)
-        told, changed = np.ascontiguousarray(_filled(x, q)), np.zeros(len(x), bool)
+        requested, changed = np.ascontiguousarray(_filled(x, q)), np.zeros(len(x), bool)
         off, rounding = np.zeros(len(x)), RECORDED if recorded else ROUNDING
         found = _Followed(np.empty(x.shape), np.empty(x.shape), changed, off, rounding)
-        now, flags = (told[0] if recorded and len(x) else q).copy(), changed.view(np.uint8)
-        for a, b in _alike(holding):
-            holds = bool(holding[a])
+        now, flags = (requested[0] if recorded and len(x) else q).copy(), changed.view(np.uint8)
+        a = b = 0
+        for holds, frames in itertools.groupby(holding.tolist()):
+            b += len(list(frames))
             taken = (now.copy() if taken is None else taken) if holds else None
             if taken is not None:
                 self._kernel.take_hold(taken)
             while a < b:
                 rows = found.q[a:b], found.before[a:b], flags[a:b], found.opened[a:b]
-                a += self._kernel.follow(told[a:b], now, *rows, holds, recorded, rounding)
+                a += self._kernel.follow(requested[a:b], now, *rows, holds, recorded, rounding)
                 if a < b:
-                    found.q[a] = now[:] = self._apart(now, told[a], taken)
+                    found.q[a] = now[:] = self._apart(now, requested[a], taken)
                     a += 1
         changed |= ~np.isfinite(x).all(axis=1)
         return found, taken
@@ -337,16 +333,16 @@ class ChunkFilter:
                 yield Change(k, "joint_velocity", (key,), float(by) * self.settings.fps, "%/s")
 
     def _arms(self, k: int, row: Array, found: _Followed) -> Iterator[Change]:
-        """What the arms' part of a frame breaks."""
         names, bad, q = np.array(KEYS)[ARMS], ~np.isfinite(row[ARMS]), found.before[k]
         if bad.any():
             yield Change(k, "not_finite", tuple(names[bad].tolist()))
             row = row.copy()
             row[np.array(ARMS)[bad]] = self.units.motors(q)[bad]
         (x,), unit, fps = self.units.joints(row[None]), self.units.unit, self.settings.fps
+        outside, fast = np.maximum(self.lower - x, x - self.upper), np.abs(x - q) - self.step
         beyond = (
-            ("joint_position", np.maximum(self.lower - x, x - self.upper), 1.0, unit),
-            ("joint_velocity", np.abs(x - q) - self.step, fps, f"{unit}/s"),
+            ("joint_position", outside, 1.0, unit),
+            ("joint_velocity", fast, fps, f"{unit}/s"),
         )
         for limit, by, rate, of in beyond:
             for i in np.flatnonzero(by > found.rounding).tolist():
@@ -362,11 +358,11 @@ class ChunkFilter:
         for place in (x, *_way(np.clip(q, -FARTHEST, FARTHEST), goal)):
             if self._space.is_free(place[None])[0]:
                 continue
-            told, d = self._space.measure(place)[:, :2].T
-            near = (told == Told.INSIDE) | ((told != Told.BEYOND) & (d < self.settings.distance))
-            near |= not near.any() and told != Told.BEYOND  # where nothing is proved
+            state, d = self._space.measure(place)[:, :2].T
+            near = (state == Told.INSIDE) | ((state != Told.BEYOND) & (d < self.settings.distance))
+            near |= not near.any() and state != Told.BEYOND  # where nothing is proved
             for i in np.flatnonzero(near).tolist():
-                by = np.nan if told[i] == Told.INSIDE else self.settings.distance - d[i]
+                by = np.nan if state[i] == Told.INSIDE else self.settings.distance - d[i]
                 yield Change(k, "self_collision", tuple(self.watched[i]), float(by), "m")
             return
 
@@ -397,17 +393,7 @@ def _law(chain: ClosedChain, kept: FilterSettings, *limits: Limit) -> KernelLaw:
     return law
 
 
-def _stepped(wished: Sequence[float], last: float, most: float) -> list[float]:
-    """A gripper's numbers, each in its range and at most a step from the one before."""
-    found = []
-    for wish in wished:
-        if math.isfinite(wish):
-            last = min(max(min(max(wish, last - most), last + most), 0.0), OPEN)
-        found.append(last)
-    return found
-
-
-def _told(row: Array, action: Any) -> Array:
+def _frame(row: Array, action: Any) -> Array:
     """The frame after one, by a dict; ValueError where it is none."""
     if not isinstance(action, Mapping):
         raise ValueError(f"found a {type(action).__name__} among dicts")
@@ -423,12 +409,6 @@ def _told(row: Array, action: Any) -> Array:
     return np.array(found, float).ravel()
 
 
-def _alike(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Begin and end of each stretch of equal flags."""
-    edges = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
-    return ((a, b) for a, b in itertools.pairwise(edges) if a < b)
-
-
 def _way(q: Array, goal: Array) -> Array:
     """Places between q (without it) and the goal, near enough to each other; (places, 10)."""
     go = goal - q
@@ -437,7 +417,6 @@ def _way(q: Array, goal: Array) -> Array:
 
 
 def _like(chunk: Any, actions: Array) -> Any:
-    """Actions as the chunk was given."""
     if not isinstance(chunk, Sequence) or not len(chunk) or not isinstance(chunk[0], Mapping):
         return actions
     rows = zip(chunk, actions.tolist(), strict=True)

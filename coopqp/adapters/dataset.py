@@ -18,8 +18,7 @@ from coopqp.base.spec import Array
 from coopqp.base.wording import counted, message_of
 from coopqp.scenario.scenario import Scenario
 
-#: Changes of an episode that its text shows.
-SHOWN = 3
+SHOWN = 3  # changes of an episode that its text shows
 
 
 @dataclass(frozen=True)
@@ -66,8 +65,8 @@ def audit(
     chunks = ChunkFilter(scenario, units, fps=fps, **settings)
     for episode, numbers, rows in _episodes(folder, column, count):
         given = rows[:, at]
-        most = np.abs(np.nan_to_num(given[:, ARMS])).max(initial=0.0)
-        radians = chunks.units.use_degrees and bool(0.0 < most < 3.2)
+        farthest = np.abs(np.nan_to_num(given[:, ARMS])).max(initial=0.0)
+        radians = chunks.units.use_degrees and bool(0.0 < farthest < 3.2)
         broken = (replace(x, frame=numbers[x.frame]) for x in chunks.audit(given))
         yield AuditedEpisode(episode, len(rows), tuple(broken), radians)
 

@@ -28,10 +28,8 @@ MOTORS = tuple(f"{side}_{joint}" for side in SIDES for joint in (*JOINTS, GRIPPE
 KEYS = tuple(f"{motor}.pos" for motor in MOTORS)
 #: Columns of the arms' joints and of the grippers in an action.
 ARMS, GRIPPERS = [0, 1, 2, 3, 4, 6, 7, 8, 9, 10], [5, 11]
-#: Of a calibration file.
-MOST_BYTES = 1 << 20
-#: Degrees of a count, as LeRobot reckons.
-COUNT = 360.0 / 4095.0
+MAX_BYTES = 1 << 20  # of a calibration file
+COUNT = 360.0 / 4095.0  # degrees of a count, as LeRobot reckons
 
 
 @spec
@@ -56,10 +54,8 @@ class MotorUnits:
         for side, joint in ((s, j) for s in self.calibration for j in JOINTS):
             own = self.calibration[side].get(joint, {})
             if side not in SIDES or not own.get("range_min", 0) < own.get("range_max", 0):
-                where = f"calibration.{side}.{joint}"
-                raise InvalidValueError(
-                    f"{where}: needs range_min < range_max, and sides left, right"
-                )
+                words = "needs range_min < range_max, and sides left, right"
+                raise InvalidValueError(f"calibration.{side}.{joint}: {words}")
 
     @classmethod
     def read(cls, left: Path | str, right: Path | str, **others: Any) -> MotorUnits:
@@ -71,7 +67,7 @@ class MotorUnits:
         found = {}
         for side, file in zip(SIDES, (left, right), strict=True):
             try:
-                found[side] = json.loads(read_text(Path(file), MOST_BYTES))
+                found[side] = json.loads(read_text(Path(file), MAX_BYTES))
             except ValueError as error:
                 words = f"is no calibration of LeRobot, which is JSON: {error}"
                 raise UnreadableFileError(file, words) from None
@@ -122,13 +118,10 @@ class MotorUnits:
         wanted = tuple(f"{side}/{joint}" for side in SIDES for joint in JOINTS)
         if chain.joint_names != wanted:
             found = ", ".join(chain.joint_names)
-            raise InvalidValueError(
-                f"robot: found joints {found}; LeRobot's two arms need {', '.join(wanted)}, as in "
-                "the scenario two_so101"
-            )
+            words = f"LeRobot's two arms need {', '.join(wanted)}, as in the scenario two_so101"
+            raise InvalidValueError(f"robot: found joints {found}; {words}")
         robot = replace(chain.robot, model=chain.robot.model.copy())
         model = robot.model
         model.lowerPositionLimit = np.maximum(chain.lower, self.offset - self.half_range)
         model.upperPositionLimit = np.minimum(chain.upper, self.offset + self.half_range)
-        hold = replace(chain.hold, robot=robot, released=(robot.arms[1].name,))
-        return ClosedChain(hold)
+        return ClosedChain(replace(chain.hold, robot=robot, released=(robot.arms[1].name,)))

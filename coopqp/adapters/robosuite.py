@@ -31,12 +31,9 @@ from coopqp.robot_files.selection import JointLimits
 from coopqp.robots import Mjcf
 from coopqp.scenario.scenario import Scenario
 
-#: Velocity limit where none is given: robosuite and MJCF have none [rad/s].
-SPEED = 2.0
-#: Errors of joints from which on readings show them [rad].
-SHOWS = 1e-3
-#: Stiffness of robosuite's position servos, torque over inertia and error [1/s2].
-KP = 300.0
+SPEED = 2.0  # velocity limit where none is given: robosuite and MJCF have none [rad/s]
+SHOWS = 1e-3  # errors of joints from which on readings show them [rad]
+KP = 300.0  # stiffness of robosuite's position servos, torque over inertia and error [1/s2]
 
 
 def controllers(
@@ -58,13 +55,13 @@ def controllers(
     if kind not in ("positions", "torques"):
         raise InvalidValueError(f"kind: found {kind!r}; needs positions or torques")
     settings: dict[str, Any] = load_composite_controller_config(controller=None, robot=robot)
-    most = 1e4  # scaled one to one; the motors' limits clip
+    unlimited = 1e4  # scaled one to one; the motors' limits clip
     own: dict[str, Any] = {
         "type": "JOINT_POSITION", "kp": kp, "kp_limits": [0, 1e5], "input_type": "absolute",
         "damping_ratio": 1, "impedance_mode": "fixed",
     } if kind == "positions" else {
-        "type": "JOINT_TORQUE", "input_max": most, "input_min": -most, "output_max": most,
-        "output_min": -most, "use_torque_compensation": False,
+        "type": "JOINT_TORQUE", "input_max": unlimited, "input_min": -unlimited,
+        "output_max": unlimited, "output_min": -unlimited, "use_torque_compensation": False,
     }  # fmt: skip
     parts = settings["body_parts"].get("arms", settings["body_parts"])
     for arm in parts:
@@ -134,7 +131,6 @@ class RobosuiteWorld:
         model.geom_conaffinity[pairs] = 0  # they still touch all else, which has its own
 
     def _below(self, root: int) -> frozenset[int]:
-        """A body and all that hang on it."""
         found, parents = {root}, self.model.body_parentid
         for body in range(root + 1, self.model.nbody):
             if parents[body] in found:
@@ -185,10 +181,8 @@ class RobosuiteWorld:
                 f"grasps: the hand of {name} is to hold {self._held} and does not touch it; close "
                 "it around it first (world.grip, and some steps)"
             )
-        known = replace(
-            scenario.observer,
-            stiffness=None, inertial_stiffness=self.kp, dead_band=self.dead_band,
-        )  # fmt: skip
+        servos: Any = {"inertial_stiffness": self.kp, "dead_band": self.dead_band}
+        known = replace(scenario.observer, stiffness=None, **servos)
         return OnlineLoop(scenario, controller, **{"clock": None, "observer": known, **given})
 
     def read(self) -> Array:
@@ -254,10 +248,8 @@ class RobosuiteWorld:
 
     def hand(self, arm: str) -> pin.SE3:
         """Pose of a hand's site."""
-        site = self.model.site(self.sites[self.arms.index(arm)]).id
-        return pin.SE3(
-            self.data.site_xmat[site].reshape(3, 3).copy(), self.data.site_xpos[site].copy()
-        )
+        i = self.model.site(self.sites[self.arms.index(arm)]).id
+        return pin.SE3(self.data.site_xmat[i].reshape(3, 3).copy(), self.data.site_xpos[i].copy())
 
     @property
     def pads(self) -> list[list[int]]:
@@ -280,7 +272,7 @@ class RobosuiteWorld:
         """
         import mujoco
 
-        w, felt = np.zeros((len(self.arms), 6)), np.zeros(6)
+        w, contact_wrench = np.zeros((len(self.arms), 6)), np.zeros(6)
         points = [self.hand(arm).translation for arm in self.arms]
         pairs, held = self.model.geom_bodyid[self.data.contact.geom].tolist(), self._bodies[-1]
         for k, (one, two) in enumerate(pairs):
@@ -289,10 +281,10 @@ class RobosuiteWorld:
             other, sign = (one, 1.0) if two in held else (two, -1.0)  # acts on the second geom
             for i, hand in enumerate(self._bodies[:-1]):
                 if other in hand:
-                    mujoco.mj_contactForce(self.model, self.data, k, felt)
+                    mujoco.mj_contactForce(self.model, self.data, k, contact_wrench)
                     contact = self.data.contact[k]
                     R = contact.frame.reshape(3, 3)
-                    force, torque = sign * felt[:3] @ R, sign * felt[3:] @ R
+                    force, torque = sign * contact_wrench[:3] @ R, sign * contact_wrench[3:] @ R
                     w[i, :3] += force
                     w[i, 3:] += torque + pin.skew(contact.pos - points[i]) @ force
         return w.ravel()

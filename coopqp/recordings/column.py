@@ -21,7 +21,6 @@ from coopqp.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 """By name; all have as many rows."""
-UnitOf = Callable[[str], str]
 Units = Mapping[str, str]
 """Of joints, and of tasks, their parts and rows, by name."""
 
@@ -81,9 +80,7 @@ def _of_hand(parts: Sequence[str]) -> Callable[[Layout], list[list[str]]]:
 
 
 def _of_input(parts: Callable[[Kind], Iterable[str]]) -> Callable[[Layout], list[list[str]]]:
-    return lambda layout: [
-        [f"[{name}].{part}" for part in parts(kind)] for name, kind in layout.inputs.items()
-    ]
+    return lambda layout: [[f"[{k}].{p}" for p in parts(kind)] for k, kind in layout.inputs.items()]
 
 
 def _by_key(units: Units, key: str, part: str) -> str:
@@ -151,8 +148,8 @@ def _push(trace: Trace) -> Any:
 
 
 def _commanded(trace: Trace) -> Any:
-    as_told = np.array_equal(trace.commanded, trace.q[:-1])
-    return np.full(trace.v.shape, np.nan) if as_told else trace.commanded
+    same = np.array_equal(trace.commanded, trace.q[:-1])
+    return np.full(trace.v.shape, np.nan) if same else trace.commanded
 
 
 def _inputs(*keys: str) -> Callable[[Trace], Any]:
@@ -189,7 +186,7 @@ class Field:
     # plant's signal of its name if omitted
     of: Callable[[Trace], Any] | None = None
     kind: Literal["number", "text", "whole"] = "number"
-    beside: bool = False  # whether its columns stand beside those of the line before, key by key
+    interleaved: bool = False  # whether its columns alternate with the line before's, key by key
 
     def groups(self, layout: Layout) -> list[list[str]]:
         """Names of its columns, in a list for each key."""
@@ -225,9 +222,9 @@ TABLE: tuple[Field, ...] = (
     Field("input", SENT, "", "what arrived at an [input](signals.md) for this tick; `sent`: when "
           "it was sent [s]; empty where nothing did", of=_inputs("arrived", "sent")),
     Field("followed", VALUE, "", "what the limiter made of it, which the tasks follow; a rotation "
-          "as the quaternion qx, qy, qz, qw", of=_inputs("value"), beside=True),
+          "as the quaternion qx, qy, qz, qw", of=_inputs("value"), interleaved=True),
     Field("followed_rate", RATE, "", "how fast that moves; of a rotation the angular velocity",
-          of=_inputs("rate"), beside=True),
+          of=_inputs("rate"), interleaved=True),
     Field("tau", MOTOR, "{}", "torques of the motors",
           of=lambda trace: trace.signals.get("tau", np.full(trace.v.shape, np.nan))),
     Field("position", XYZ, "m", "the object's position", "instant"),
@@ -244,7 +241,7 @@ TABLE: tuple[Field, ...] = (
           "where it is broken",
           of=lambda trace: np.array([left.min(axis=0) for _, left in _margins(trace)]).T),
     Field("nearest", LIMIT, "", "where that is, such as `RElbowRoll (upper)`",
-          of=_nearest, kind="text", beside=True),
+          of=_nearest, kind="text", interleaved=True),
     Field("push", PUSH, "{}", "what pushes the object at the tick's end, where something does in "
           "the run, world axes", of=_push),
     Field("hand_wrench", HAND_WRENCH, "{}", "what each hand did to the object at the tick's end, "
@@ -272,15 +269,12 @@ NEEDED = ("controller", "tick", "t", "status", "tick_us")
 
 def names(layout: Layout, fields: Collection[str] | None = None) -> list[str]:
     """All columns in their order."""
-    found: list[list[list[str]]] = []
-    for line in TABLE:
-        if not line.beside:
-            found.append([])
+    found, leader = [], 0
+    for n, line in enumerate(TABLE):
+        leader = leader if line.interleaved else n
         if fields is None or line.name in fields:
-            groups = line.groups(layout)
-            before = found[-1] or [[] for _ in groups]
-            found[-1] = [a + b for a, b in zip(before, groups, strict=True)]
-    return [column for groups in found for group in groups for column in group]
+            found += [(leader, i, n, group) for i, group in enumerate(line.groups(layout))]
+    return [column for *_, group in sorted(found) for column in group]
 
 
 def of_field(name: str, layout: Layout) -> list[str]:
@@ -289,10 +283,7 @@ def of_field(name: str, layout: Layout) -> list[str]:
 
 
 def columns_of(trace: Trace) -> dict[str, NDArray[Any]]:
-    """All that is recorded of a run, with a row an instant; of the end there is no tick.
-
-    What is not finite is empty.
-    """
+    """All that is recorded of a run, a row an instant; the end has no tick. Empty: not finite."""
     layout, found = layout_of([trace]), dict[str, NDArray[Any]]()
     for line in TABLE:
         values = line.values(trace)
@@ -350,10 +341,15 @@ def cells(values: NDArray[Any]) -> list[Any]:
     return found
 
 
-def unit_of(scenario: Scenario) -> UnitOf:
+def unit_of(scenario: Scenario) -> Callable[[str], str]:
     """A function from a column to its unit; "" where it has none, or nobody knows it."""
     chain = scenario.chain
-    units = dict(zip(chain.joint_names, chain.joint_units, strict=True)) | _asked(scenario)
+    units = dict(zip(chain.joint_names, chain.joint_units, strict=True))
+    for phase in scenario.schedule:  # and of each part and each row of all tasks
+        begin = f"{phase.name}." if scenario.phases else ""
+        rows = rows_of(phase.tasks, chain)
+        for part, own in parts_of(phase.tasks, chain):
+            units |= {begin + name: part.unit for name in (part.name, *rows[own])}
 
     def unit(column: str) -> str:
         line = field_of(column)
@@ -363,14 +359,3 @@ def unit_of(scenario: Scenario) -> UnitOf:
         return line.unit.format(line.shape.unit(units, key, part))
 
     return unit
-
-
-def _asked(scenario: Scenario) -> dict[str, str]:
-    """Unit of each part and each row of all tasks, by their names in the trace."""
-    found: dict[str, str] = {}
-    for phase in scenario.schedule:
-        begin = f"{phase.name}." if scenario.phases else ""
-        rows = rows_of(phase.tasks, scenario.chain)
-        for part, own in parts_of(phase.tasks, scenario.chain):
-            found |= {begin + name: part.unit for name in (part.name, *rows[own])}
-    return found

@@ -8,6 +8,7 @@ feeds its inputs again; both what the page and what a loop for a robot write is 
 
 import csv
 import io
+import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -101,17 +102,13 @@ def _check_ticks(run: Run) -> None:
     for name in run.controllers:
         own = run.columns["controller"] == name
         needed[own] = np.arange(own.sum())
-    wrong = np.flatnonzero(ticks != needed)
-    if len(wrong):
-        k = int(wrong[0])
+    for k in np.flatnonzero(ticks != needed)[:1].tolist():
         raise run.fault(k, f"tick: found {ticks[k]}, needs {needed[k]}")
 
 
 def _lines(path: Path) -> Iterator[str]:
     with open_bytes(path) as stream:
-        number = 0
-        while line := stream.readline(LONGEST):
-            number += 1
+        for number, line in enumerate(iter(lambda: stream.readline(LONGEST), b""), 1):
             try:
                 text = line.decode("utf-8")
             except UnicodeDecodeError:
@@ -137,19 +134,16 @@ class InputRows:
             self._rows.pop()
         self._rows.append(tuple(map(float, (t, sent, *value))))
 
-    def lines(self) -> str:
-        """All rows that are kept, as lines."""
-        return _as_lines(self._rows)
+    def lines(self, before: float = math.inf) -> str:
+        """The rows before a time [s], as lines."""
+        rows = takewhile(lambda row: row[0] < before, self._rows)
+        return "".join(",".join(map(repr, row)) + "\n" for row in rows)
 
     def take(self, before: float) -> str:
-        """The rows before a time [s], as lines; they are kept no longer."""
-        taken = list(takewhile(lambda row: row[0] < before, self._rows))
-        del self._rows[: len(taken)]
-        return _as_lines(taken)
-
-
-def _as_lines(rows: Iterable[tuple[float, ...]]) -> str:
-    return "".join(",".join(map(repr, row)) + "\n" for row in rows)
+        """The same, which are kept no longer."""
+        lines = self.lines(before)
+        del self._rows[: lines.count("\n")]
+        return lines
 
 
 def file_name(name: str, taken: Collection[str]) -> str:

@@ -43,8 +43,7 @@ JOINTS, TF, POSE, TICK = "/joint_states", "/tf", "/object_pose", "/coopqp/tick"
 #: Columns of joints that have a topic of their own below ``JOINTS``.
 OTHER_JOINTS = ("commanded", "measured")
 
-#: Shapes of what is said of tasks.
-ABOUT_TASKS = (column.TASK, column.ROW)
+ABOUT_TASKS = (column.TASK, column.ROW)  # shapes of what is said of tasks
 
 #: A margin up to which a limit holds something back, and below which it is broken [its unit].
 AT, BROKEN = 1e-6, -1e-6
@@ -60,11 +59,11 @@ class Joints(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A frame in the world: its origin [m] and its orientation as a quaternion (x, y, z, w)."""
+    """A frame in the world: its origin [m] and its orientation as a quaternion, by x, y, z, w."""
 
     name: str
-    p: list[float]
-    q: list[float]
+    p: dict[str, float]
+    q: dict[str, float]
 
 
 class Remark(NamedTuple):
@@ -72,7 +71,7 @@ class Remark(NamedTuple):
 
     about: str
     level: int  # 0 all is well, 1 something is held back or given up, 2 not usable or broken
-    words: str
+    message: str
     values: Mapping[str, str]  # by name with unit
 
 
@@ -135,15 +134,14 @@ def _frames(chain: ClosedChain) -> list[tuple[str, int]]:
     links = [pin.FrameType.BODY] if pin.FrameType.BODY in kinds else [
         pin.FrameType.JOINT, pin.FrameType.OP_FRAME
     ]  # fmt: skip
-    return [
-        (frame.name, i)
-        for i, frame in enumerate(chain.model.frames)
-        if frame.type in links and i not in chain.frames
-    ]
+    frames = enumerate(chain.model.frames)
+    return [(f.name, i) for i, f in frames if f.type in links and i not in chain.frames]
 
 
 def _placed(name: str, R: Array, p: Array) -> Placed:
-    return Placed(name, p.tolist(), pin.Quaternion(R).normalized().coeffs().tolist())
+    turned = pin.Quaternion(R).normalized().coeffs().tolist()
+    by_axis = (dict(zip("xyzw", numbers, strict=False)) for numbers in (p.tolist(), turned))
+    return Placed(name, *by_axis)
 
 
 def _joints(run: Run, names: tuple[str, ...]) -> dict[str, list[Joints]]:
@@ -182,9 +180,9 @@ class _Remarks:
 
     def of(self, k: int) -> Iterator[Remark]:
         causes = causes_of(self._status[k]) if self._status[k] else ()
-        level = max((level_of(cause) for cause in causes), default=0)
-        said = "; ".join(cause.value for cause in causes) or "the end"
-        yield Remark("law", level, said, self._values(k, ["status", "scale", "tick_us"]))
+        level = max(map(level_of, causes), default=0)
+        words = "; ".join(cause.value for cause in causes) or "the end"
+        yield Remark("law", level, words, self._values(k, ["status", "scale", "tick_us"]))
         yield Remark("loops", 0, "", self._values(k, ["loop_position", "loop_orientation"]))
         yield Remark("tasks", 0, "", self._values(k, self._of_tasks))
         for owner, names in self._limits.items():
@@ -193,17 +191,15 @@ class _Remarks:
 
     def _limit(self, k: int, owner: str, names: list[str]) -> Remark:
         """The least margin of a limit, in each of its units."""
-        level, said = 0, []
-        shown = list(names)
+        level, texts, shown = 0, list[str](), list(names)
         for name in names:
             left = self._cells[name][k]
-            where = column.joined(("nearest", *column.split(name)[1:]))
-            shown.append(where)
-            level = max(level, 2 if left < BROKEN else int(left <= AT))
+            shown.append(where := column.joined(("nearest", *column.split(name)[1:])))
             if left <= AT:
+                level = max(level, 1 + (left < BROKEN))
                 at = self._cells[where][k] if where in self._cells else None
-                said.append(f"{'beyond' if left < BROKEN else 'at'} {at or ''}")
-        return Remark(f"limit {owner}", level, "; ".join(said), self._values(k, shown))
+                texts.append(f"{'beyond' if left < BROKEN else 'at'} {at or ''}")
+        return Remark(f"limit {owner}", level, "; ".join(texts), self._values(k, shown))
 
     def _values(self, k: int, names: list[str]) -> dict[str, str]:
         """Values with their units in their names, empty ones left out."""
@@ -213,9 +209,7 @@ class _Remarks:
 
 def level_of(cause: Status) -> int:
     """0 all is well, 1 something was given up or is to be known, 2 the arms stood still."""
-    if not cause.usable:
-        return 2
-    return 0 if cause is Status.OPTIMAL else 1
+    return 2 if not cause.usable else int(cause is not Status.OPTIMAL)
 
 
 LOG, ATTACHED = "/log", "scenario.yaml"
@@ -271,22 +265,20 @@ class _Messages:
     def __init__(self, writer: Any, messages: Any, controller: str) -> None:
         self._writer, self._of, self._name = writer, messages, controller
         self._channels: dict[str, int] = {}
-        self._said: dict[str, tuple[int, str]] = {}
+        self._logged: dict[str, tuple[int, str]] = {}  # level and message, by what they are about
 
     def log(self, instant: Instant) -> None:
         of, ns = self._of, instant.ns
         stamp = of.Timestamp(ns // NS, ns % NS)
         for topic, (names, *values) in instant.joints.items():
             columns: list[list[Any]] = [list(own) or [None] * len(names) for own in values]
-            states = [
-                of.JointState(name=name, position=q, velocity=v, effort=tau)
-                for name, q, v, tau in zip(names, *columns, strict=True)
-            ]
+            rows = zip(names, *columns, strict=True)
+            keys = "name", "position", "velocity", "effort"
+            states = [of.JointState(**dict(zip(keys, row, strict=True))) for row in rows]
             self._write(topic, ns, of.JointStates(timestamp=stamp, joints=states))
         frames = []
         for placed in instant.frames:
-            p = of.Vector3(**dict(zip("xyz", placed.p, strict=True)))
-            R = of.Quaternion(**dict(zip("xyzw", placed.q, strict=True)))
+            p, R = of.Vector3(**placed.p), of.Quaternion(**placed.q)
             between = {"parent_frame_id": WORLD, "child_frame_id": placed.name}
             frames.append(of.FrameTransform(timestamp=stamp, translation=p, rotation=R, **between))
         self._write(TF, ns, of.FrameTransforms(transforms=frames))
@@ -294,10 +286,10 @@ class _Messages:
         self._write(POSE, ns, of.PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose))
         levels = of.LogLevel.Info, of.LogLevel.Warning, of.LogLevel.Error
         for about, level, words, _ in instant.remarks:
-            if (level, words) != self._said.get(about, (0, "")):
-                self._said[about] = level, words
-                told = {"message": f"{about}: {words or 'free again'}", "name": self._name}
-                self._write(LOG, ns, of.Log(timestamp=stamp, level=levels[level], **told))
+            if (level, words) != self._logged.get(about, (0, "")):
+                self._logged[about] = level, words
+                text = {"message": f"{about}: {words or 'free again'}", "name": self._name}
+                self._write(LOG, ns, of.Log(timestamp=stamp, level=levels[level], **text))
         if TICK not in self._channels:
             schema = json.dumps({"title": "coopqp.Tick", **_schema(instant.row)}).encode("utf-8")
             self._open(TICK, "json", "coopqp.Tick", "jsonschema", schema)
@@ -316,10 +308,8 @@ class _Messages:
 
 
 def _schema(row: Mapping[str, Any]) -> dict[str, Any]:
-    inside = {
-        key: _schema(value) if isinstance(value, dict) else {"type": ["number", "string", "null"]}
-        for key, value in row.items()
-    }
+    cell = {"type": ["number", "string", "null"]}
+    inside = {k: _schema(x) if isinstance(x, dict) else cell for k, x in row.items()}
     return {"type": "object", "properties": inside}
 
 
@@ -372,10 +362,8 @@ def _strings(path: Path, topic: str) -> Iterator[str]:
         from rosbags.rosbag2 import Reader
     types = _types()
     with readable(path), Reader(path) as reader:
-        asked = [found for found in reader.connections if found.topic == topic]
-        if not asked:
-            return
-        for connection, _, data in reader.messages(asked):
+        own = [connection for connection in reader.connections if connection.topic == topic]
+        for connection, _, data in reader.messages(own) if own else ():
             yield types.deserialize_cdr(data, connection.msgtype).data
 
 
@@ -388,8 +376,7 @@ class _Bag:
 
     def write(self, topic: str, kind: str, ns: int, **fields: Any) -> None:
         if topic not in self._topics:
-            added = self._writer.add_connection(topic, kind, typestore=self._store)
-            self._topics[topic] = added
+            self._topics[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
         data = self._store.serialize_cdr(Message(**fields), kind)
         self._writer.write(self._topics[topic], ns, data)
 
@@ -402,23 +389,22 @@ class _Bag:
             self.write(topic, kind, ns, header=nameless, name=list(names), **dict(fields))
         frames = []
         for placed in instant.frames:
-            p = Message(**dict(zip("xyz", placed.p, strict=True)))
-            R = Message(**dict(zip("xyzw", placed.q, strict=True)))
+            p, R = Message(**placed.p), Message(**placed.q)
             way = Message(translation=p, rotation=R)
             frames.append(Message(header=head, child_frame_id=placed.name, transform=way))
         self.write(TF, "tf2_msgs/msg/TFMessage", ns, transforms=frames)
         pose = Message(position=p, orientation=R)  # of the last, the object
         self.write(POSE, "geometry_msgs/msg/PoseStamped", ns, header=head, pose=pose)
-        said = [
+        statuses = [
             Message(
                 level=remark.level,
                 name=f"{self._controller}: {remark.about}",
-                message=remark.words,
+                message=remark.message,
                 hardware_id="",
                 values=[Message(key=key, value=value) for key, value in remark.values.items()],
             )
             for remark in instant.remarks
         ]
         kind = "diagnostic_msgs/msg/DiagnosticArray"
-        self.write(DIAGNOSTICS, kind, ns, header=head, status=said)
+        self.write(DIAGNOSTICS, kind, ns, header=head, status=statuses)
         self.write(TICK, STRING, ns, data=json.dumps(instant.row))

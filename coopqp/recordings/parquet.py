@@ -14,7 +14,7 @@ which LeRobot does not look at.
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -35,8 +35,7 @@ from coopqp.scenario.scenario import Scenario
 GROUP = 10_000  # rows
 SCENARIO = b"coopqp.scenario"
 SUFFIX = ".arrows"
-#: What a stream that was closed ends with.
-END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+END = b"\xff\xff\xff\xff\x00\x00\x00\x00"  # what a stream that was closed ends with
 
 
 class Parquet(ExportFormat):
@@ -86,10 +85,13 @@ class ArrowStream(Format):
 
     def read(self, path: Path) -> Run:
         with open_bytes(path) as stream:
-            reader = _opened(path, stream)
+            reader, batches = _opened(path, stream), []
             import pyarrow as pa
 
-            batches = list(_whole(reader))
+            with suppress(pa.ArrowInvalid, OSError):  # what follows is not whole
+                for batch in reader:
+                    batch.validate(full=True)
+                    batches.append(batch)
             return _run(path, pa.Table.from_batches(batches, reader.schema))
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
@@ -115,11 +117,9 @@ def arrow_schema(scenario: Scenario, controller: str, source: str, names: Iterab
 
 
 def _run(path: Path, table: Any) -> Run:
-    """A run from a table of pyarrow's."""
-    lists = {
-        name: x.to_numpy() if str(x.type) in ("double", "int64") else x.to_pylist()
-        for name, x in zip(table.column_names, table.columns, strict=True)
-    }
+    columns = zip(table.column_names, table.columns, strict=True)
+    numbers = ("double", "int64")
+    lists = {k: x.to_numpy() if str(x.type) in numbers else x.to_pylist() for k, x in columns}
     return run_of(path, f"{path}: row ", lists, np.arange(table.num_rows), str(path))
 
 
@@ -133,33 +133,18 @@ def _opened(path: Path, stream: Any) -> Any:
         return pa.ipc.open_stream(stream)
 
 
-def _whole(reader: Any) -> Iterator[Any]:
-    """The pieces up to the first that is not whole."""
-    import pyarrow as pa
-
-    while True:
-        try:
-            batch = reader.read_next_batch()
-            batch.validate(full=True)
-        except (StopIteration, pa.ArrowInvalid, OSError):
-            return
-        yield batch
-
-
 def scenario_in(path: Path, kept: dict[bytes, bytes] | None, catalog: Catalog) -> Scenario:
     """The scenario in a schema's metadata."""
-    if SCENARIO not in (kept or {}):
+    if (text := (kept or {}).get(SCENARIO)) is None:
         raise CoopqpError(f"{path}: holds no run of coopqp: has no scenario in its metadata")
-    assert kept
-    return load_text(path, kept[SCENARIO].decode("utf-8", "replace"), catalog)
+    return load_text(path, text.decode("utf-8", "replace"), catalog)
 
 
 RUN = Path("meta", "coopqp.parquet")
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 FIRST = FILE.format(chunk_index=0, file_index=0)
 OPEN = 100.0  # of a gripper [%]
-#: By which times may be off the rate of a dataset [s], as in LeRobot.
-ROUNDING = 1e-4
+ROUNDING = 1e-4  # by which times may be off the rate of a dataset [s], as in LeRobot
 QUANTILES = 1, 10, 50, 90, 99
 #: Of the only episode, beside its length and statistics.
 ZEROS = (
@@ -188,15 +173,11 @@ class Lerobot(ExportFormat):
         task, count = scenario.description or scenario.name, len(numbers["index"])
         stats, features, columns = dict[str, Any](), dict[str, Any](), dict[str, Any]()
         for key, x in numbers.items():
-            wide, stats[key] = x.ndim > 1, _stats(x.reshape(count, -1).astype(float))
-            shape = [len(names) if wide else 1]
-            features[key] = {
-                "dtype": str(x.dtype),
-                "shape": shape,
-                "names": names if wide else None,
-            }
-            kind = pa.list_(pa.float32(), len(names)) if wide else None
-            columns[key] = pa.array(list(x) if wide else x, kind)
+            own = names if x.ndim > 1 else None
+            stats[key] = _stats(x.reshape(count, -1).astype(float))
+            features[key] = {"dtype": str(x.dtype), "shape": [len(own) if own else 1], "names": own}
+            kind = pa.list_(pa.float32(), len(own)) if own else None
+            columns[key] = pa.array(list(x) if own else x, kind)
         pq.write_table(pa.table(columns), path / "data" / FIRST)
         pq.write_table(_tasks(task), path / "meta" / "tasks.parquet")
         pq.write_table(pa.table(_episode(task, count, stats)), path / "meta" / "episodes" / FIRST)
@@ -227,13 +208,11 @@ def _frames(run: Run, scenario: Scenario) -> tuple[list[str], dict[str, NDArray[
     if off > ROUNDING:
         words = f"time is up to {off:.3g} s off one tick each {scenario.dt:g} s"
         raise CoopqpError(f"{run.path}: {words}, and a dataset of LeRobot has one rate")
-    q, told, seen, v = (
-        ticks.joints(name, robot.joint_names, empty=name in ("commanded", "measured"))
-        for name in ("q", "commanded", "measured", "v")
-    )
-    goal = np.where(np.isnan(told), q, told) + scenario.dt * v
+    names, gaps = robot.joint_names, ("commanded", "measured")
+    q, commanded, measured, v = (ticks.joints(x, names, empty=x in gaps) for x in ("q", *gaps, "v"))
+    goal = np.where(np.isnan(commanded), q, commanded) + scenario.dt * v
     at, grips = _columns(ticks, scenario)
-    state = np.where(np.isnan(seen), q, seen)
+    state = np.where(np.isnan(measured), q, measured)
     scale = np.array([1.0 if unit == "m" else 180.0 / np.pi for unit in robot.joint_units])
     found: dict[str, NDArray[Any]] = {
         key: np.hstack([x * scale, grips])[:, [*at.values()]].astype(np.float32)
@@ -263,10 +242,9 @@ def _key(joint: str) -> str:
 
 def _stats(x: Array) -> dict[str, list[float]]:
     """What LeRobot keeps of numbers, shape (T, k)."""
-    found = {"min": x.min(axis=0), "max": x.max(axis=0), "mean": x.mean(axis=0)}
-    found |= {"std": x.std(axis=0), "count": np.array([len(x)])}
-    found |= {f"q{part:02d}": np.percentile(x, part, axis=0) for part in QUANTILES}
-    return {name: values.tolist() for name, values in found.items()}
+    found = {name: getattr(x, name)(axis=0).tolist() for name in ("min", "max", "mean", "std")}
+    quantiles = {f"q{part:02d}": np.percentile(x, part, axis=0).tolist() for part in QUANTILES}
+    return found | {"count": [len(x)]} | quantiles
 
 
 def _episode(task: str, count: int, stats: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

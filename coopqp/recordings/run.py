@@ -30,12 +30,9 @@ from coopqp.solver import STANDS, Status
 
 #: A joint beyond it, or faster, is damage, and so is an error [rad, m; rad/s, m/s; N, N m].
 FARTHEST = 1e12
-#: Times of two phases that are the same may differ by this [s].
-ROUNDING = 1e-9
-#: More ticks than any run has.
-MOST = 2**53
-#: After what a live loop's time stands still.
-_STANDS = {status.name for status in STANDS}
+ROUNDING = 1e-9  # times of two phases that are the same may differ by this [s]
+MAX_TICKS = 2**53  # more ticks than any run has
+_STANDS = {status.name for status in STANDS}  # after what a live loop's time stands still
 OTHER = "the trace is damaged, or it is of another scenario than the one beside it: run it again"
 
 
@@ -57,12 +54,10 @@ class Run:
         return list(dict.fromkeys(self.columns["controller"].tolist()))
 
     def place(self, k: int) -> str:
-        """Where a row stands."""
         return f"{self.at}{self.rows[k]}"
 
-    def fault(self, k: int, words: str) -> InvalidValueError:
-        """What is wrong with a row."""
-        return InvalidValueError(f"{self.place(k)}: {words}; the trace is damaged")
+    def fault(self, k: int, message: str) -> InvalidValueError:
+        return InvalidValueError(f"{self.place(k)}: {message}; the trace is damaged")
 
     def only(self, which: Any) -> Run:
         kept = {name: values[which] for name, values in self.columns.items()}
@@ -90,8 +85,8 @@ class Run:
         found = [self.columns.get(name, nothing) for name in names]
         values = np.stack(found, axis=1) if found else np.zeros((len(self), 0))
         for k, i in np.argwhere(np.isinf(values) if empty else ~np.isfinite(values))[:1].tolist():
-            seen = "nothing" if np.isnan(values[k, i]) else values[k, i]
-            raise self.fault(k, f"{names[i]}: found {seen}, needs a finite number")
+            cell = "nothing" if np.isnan(values[k, i]) else values[k, i]
+            raise self.fault(k, f"{names[i]}: found {cell}, needs a finite number")
         for k, i in np.argwhere(np.abs(values) > FARTHEST)[:1].tolist():
             raise self.fault(k, f"{names[i]}: found {values[k, i]:g}, which cannot be")
         return values
@@ -139,7 +134,7 @@ def typed(name: str, values: Any, at: str, rows: NDArray[np.int64]) -> NDArray[A
         raise InvalidValueError(f"{at}{rows[k]}: {words}; the trace is damaged") from None
     if kind == "number":
         return numbers
-    for k in np.flatnonzero(~((numbers >= 0) & (numbers < MOST) & (numbers % 1 == 0)))[:1]:
+    for k in np.flatnonzero(~((numbers >= 0) & (numbers < MAX_TICKS) & (numbers % 1 == 0)))[:1]:
         words = f"{name}: found {numbers[k]:g}, needs a whole number"
         raise InvalidValueError(f"{at}{rows[k]}: {words}")
     return numbers.astype(np.int64)
@@ -160,16 +155,16 @@ def _is_number(value: Any) -> bool:
 
 def check(run: Run) -> None:
     """Refuse a status that there is not, and time that goes back, or stands still for no reason."""
-    said = run.columns["status"]
-    for word in dict.fromkeys(said.tolist()):
+    status = run.columns["status"]
+    for word in dict.fromkeys(status.tolist()):
         for name in word.split("+") if word else ():
             if name not in Status.__members__:
                 words = f"status: no status '{one_line(name[:40])}'"
-                raise run.fault(int(np.argmax(said == word)), words)
+                raise run.fault(int(np.argmax(status == word)), words)
     for own in map(run.of, run.controllers):
-        t, said = own.numbers(["t"])[:, 0], own.columns["status"]
+        t, status = own.numbers(["t"])[:, 0], own.columns["status"]
         for k in np.flatnonzero(np.diff(t) <= 0.0).tolist():
-            rested = t[k + 1] >= t[k] - ROUNDING and _STANDS.intersection(said[k].split("+"))
+            rested = t[k + 1] >= t[k] - ROUNDING and _STANDS.intersection(status[k].split("+"))
             if not rested:
                 raise own.fault(k + 1, f"t: found {t[k + 1]:g} after {t[k]:g}")
 
@@ -183,10 +178,7 @@ class Format(ABC):
 
     @abstractmethod
     def read(self, path: Path) -> Run:
-        """All rows of a file.
-
-        CoopqpError: none, or damaged; MissingDependencyError: no package that reads it.
-        """
+        """All rows; CoopqpError: no such file, or damaged; MissingDependencyError: no package."""
 
     @abstractmethod
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:

@@ -21,7 +21,7 @@ from coopqp.report.curves import Figure, Json, Style
 from coopqp.trace import Trace
 
 SHOWN = 10  # limits of each controller in the table
-MOST_LINES = 14  # of the timeline
+MAX_LINES = 14  # of the timeline
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class Audited:
     margin: Array  # least of all its rows after each tick, shape (T,) [the row's unit]
 
     @property
-    def least(self) -> float:
+    def min_margin(self) -> float:
         return float(self.margin.min())
 
     @property
     def broken(self) -> bool:
-        return matters(-self.least, self.row.unit)
+        return matters(-self.min_margin, self.row.unit)
 
     @property
     def active(self) -> NDArray[np.bool_]:
@@ -50,22 +50,18 @@ def rows(traces: Mapping[str, Trace]) -> str:
     """Rows of the table: broken limits first, then those at the bound for longest."""
 
     def use(limit: Audited) -> tuple[bool, int, float]:
-        return not limit.broken, -int(limit.active.sum()), limit.least
+        return not limit.broken, -int(limit.active.sum()), limit.min_margin
 
     tightest = {k: sorted(limits_of(of), key=use)[:SHOWN] for k, of in audited(traces).items()}
     return "".join(_row(name, limit) for name, limits in tightest.items() for limit in limits)
 
 
 def _row(name: str, limit: Audited) -> str:
-    value, unit = length(limit.least, limit.row.unit)
+    value, unit = length(limit.min_margin, limit.row.unit)
     where = "" if limit.row.joint else f" ({limit.row.label})"
-    names = (name, limit.name + where)
-    cells = (
-        f"{'✗ ' if limit.broken else ''}{number(value)} {unit}",
-        str(int(limit.active.sum())),
-        f"{100 * limit.active.mean():.0f} %",
-    )
-    texts = [f"<td class='name'>{html.escape(text)}</td>" for text in names]
+    margin = f"{'✗ ' if limit.broken else ''}{number(value)} {unit}"
+    cells = (margin, f"{limit.active.sum()}", f"{100 * limit.active.mean():.0f} %")
+    texts = [f"<td class='name'>{html.escape(text)}</td>" for text in (name, limit.name + where)]
     texts += [f"<td>{html.escape(text)}</td>" for text in cells]
     return f"<tr>{''.join(texts)}</tr>"
 
@@ -79,7 +75,7 @@ def timeline(traces: Mapping[str, Trace], styles: Mapping[str, Style]) -> Figure
     used = Counter[str]()
     for of in found.values():
         used |= Counter({name: int(active.sum()) for name, active in of.items()})  # the most
-    shown = [name for name, _ in used.most_common(MOST_LINES)]
+    shown = [name for name, _ in used.most_common(MAX_LINES)]
     if not shown:
         return None
     data: list[Json] = []
@@ -109,11 +105,8 @@ def limits_of(trace: Trace) -> list[Audited]:
         if margin.size and np.isfinite(margin).any():
             name = f"{row.owner} of {row.joint}" if row.joint else row.owner
             groups.setdefault(name, []).append((row, margin))
-    return [
-        Audited(
-            name,
-            min(group, key=lambda entry: float(entry[1].min()))[0],
-            np.min([margin for _, margin in group], axis=0),
-        )
-        for name, group in groups.items()
-    ]
+    found = []
+    for name, group in groups.items():
+        tightest, _ = min(group, key=lambda entry: float(entry[1].min()))
+        found.append(Audited(name, tightest, np.min([margin for _, margin in group], axis=0)))
+    return found

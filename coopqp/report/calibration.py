@@ -45,26 +45,23 @@ def sentences(result: Calibration, *, encoders: bool) -> Iterator[str]:
     elif result.explains:
         yield f"What the ticks near the start tell leaves {_both(result.predicted)} far from it."
     else:
-        wrong, rest = (
-            ("Object and encoders do not explain the run", "links")
-            if encoders
-            else ("The object's place in the hands does not explain the run", "links or encoders")
-        )
+        wrong, rest = "The object's place in the hands does", "links or encoders (try --encoders)"
+        if encoders:
+            wrong, rest = "Object and encoders do", "links"
         yield (
-            f"warning: {wrong}: what the ticks near the start tell leaves "
-            f"{_both(result.predicted)} far from it. The rest is of the arms themselves, {rest}"
-            f"{'' if encoders else ' (try --encoders)'}, or the object has slipped."
+            f"warning: {wrong} not explain the run: what the ticks near the start tell leaves "
+            f"{_both(result.predicted)} far from it. The rest is of the arms themselves, {rest}, "
+            "or the object has slipped."
         )
     if result.hidden:
         yield (
             f"The motion does not show {result.hidden} combination{'s' * (result.hidden > 1)} of "
             f"{', '.join(result.not_shown)}; taken for zero."
         )
-    chain = result.chain
-    for i in chain.passive:
+    for i in result.chain.passive:
         yield (
-            f"{chain.joint_names[i]}: its reading is taken for true; its own zero cannot be told "
-            "from the object's place along or about it."
+            f"{result.chain.joint_names[i]}: its reading is taken for true; its own zero cannot be "
+            "told from the object's place along or about it."
         )
     if encoders:
         yield "Subtract the encoders' offsets from what they say; the lines below count on it."
@@ -72,13 +69,12 @@ def sentences(result: Calibration, *, encoders: bool) -> Iterator[str]:
 
 def as_json(result: Calibration) -> dict[str, Any]:
     """All numbers; those that the motion does not show are null."""
+    chain = result.chain
     same = ("before", "after", "noise", "predicted", "explains", "hidden", "ticks")
     return {
         "offsets": result.offsets,
-        "object_in_hand": {
-            arm: _pose(_object_in_hand(result, arm)) for arm in result.chain.hold.holders
-        },
-        "start": dict(zip(result.chain.joint_names, result.chain.q_start.tolist(), strict=True)),
+        "object_in_hand": {a: _pose(_object_in_hand(result, a)) for a in chain.hold.holders},
+        "start": dict(zip(chain.joint_names, chain.q_start.tolist(), strict=True)),
         **{key: getattr(result, key) for key in same},
     }
 
@@ -91,11 +87,8 @@ def yaml_text(result: Calibration, scenario: Scenario) -> str:
         grasp = chain.grasps[arm.name]
         entries = scenario.catalog.entries("grasps").items()
         name = next(name for name, entry in entries if entry.cls is type(grasp))
-        settings = {
-            field.name: value
-            for field in dataclasses.fields(grasp)
-            if (value := getattr(grasp, field.name)) != field.default
-        }
+        own = ((field, getattr(grasp, field.name)) for field in dataclasses.fields(grasp))
+        settings = {field.name: value for field, value in own if value != field.default}
         settings.pop("object_in_hand", None)
         if arm.name in chain.hold.holders or grasp.object_in_hand:
             settings["object_in_hand"] = _pose(_object_in_hand(result, arm.name))

@@ -12,11 +12,10 @@ from coopqp.assessment.limits import beyond
 from coopqp.assessment.thresholds import OUTSIDE, matters
 from coopqp.base.spec import Array, type_name
 from coopqp.execution.comparison import Comparison
-from coopqp.scenario.scenario import Phase
 from coopqp.trace import Trace
 
 NBSP = "\N{NO-BREAK SPACE}"
-MOST_LINES = 4  # task errors in one cell
+MAX_LINES = 4  # task errors in one cell
 SYMBOLS = {None: "", True: "✗ ", False: "✓ "}  # say without colour whether a cell is bad
 LANGUAGES = ("C++", f"C++ +{NBSP}Python rows", "Python")  # that ticks run in
 
@@ -58,28 +57,27 @@ class Cell:
     each: tuple[bool, ...] = ()
 
 
-def cells(
-    trace: Trace, metrics: Mapping[str, Any], beside: Iterable[Trace] = ()
-) -> dict[str, Cell]:
-    """The entries of one controller, by the keys of COLUMNS."""
+def cells(trace: Trace, metrics: Mapping[str, Any], runs: Iterable[Trace] = ()) -> dict[str, Cell]:
+    """The entries of one controller of several runs, by the keys of COLUMNS."""
     found, speed = assess(trace), metrics["velocity_violation_max"]
-    place = trace.units[_worst(beyond(trace))]
-    of_speed = f"{trace.units[_worst(np.abs(trace.v) - trace.velocity)]}/s"
+    too_fast = np.abs(trace.v) - trace.velocity
+    worst = (int(by.max(axis=0, initial=-np.inf).argmax()) for by in (beyond(trace), too_fast))
+    place, of_speed = (trace.units[joint] for joint in worst)
     apart = tuple(number(1e3 * size) for size in found.loop)
+    is_open = None if found.held is False else not found.loop_closed
+    failed, inaccurate = metrics["failed_ticks"], metrics["inaccurate_ticks"]
+    more = [f"{inaccurate} inaccurate"] if inaccurate else []
     return {
         "reached": Cell(("yes" if found.reached else "no",), not found.reached),
         "task_error": _task_error(found),
         "limit": _limit(found, metrics["limit_violation_max"], place),
-        "speed": Cell((_quantity(speed, of_speed),), bool(found.speeds)),
+        "speed": Cell((_quantity(speed, f"{of_speed}/s"),), bool(found.speeds)),
         "acceleration": _acceleration(found),
         "margin": Cell((_quantity(metrics["limit_margin_min"], place),)),
-        "loop": Cell(
-            (f"{apart[0]}{NBSP}mm", f"{apart[1]}{NBSP}mrad"),
-            None if found.held is False else not found.loop_closed,
-        ),
+        "loop": Cell((f"{apart[0]}{NBSP}mm", f"{apart[1]}{NBSP}mrad"), is_open),
         "motors": _motors(found),
-        "failed": _failed(metrics),
-        "tick": _tick(trace, metrics["engine"], any(other.compiled.any() for other in beside)),
+        "failed": Cell((f"{failed} of {metrics['ticks']}", *more), failed > 0 or inaccurate > 0),
+        "tick": _tick(trace, metrics["engine"], any(other.compiled.any() for other in runs)),
     }
 
 
@@ -100,18 +98,18 @@ def _tick(trace: Trace, engine: dict[str, Any] | None, beside_compiled: bool) ->
     more = (f"{len(of)} in {other}" for other, of in others)
     cost = engine["rows_us"] if engine and language == LANGUAGES[1] else None
     rows = "" if cost is None else f":{NBSP}{f'{cost:.0f}' if cost >= 0.5 else '<1'}"
-    said = "-" if beside_compiled and language == LANGUAGES[2] else f"{np.median(us):.0f}"
-    return Cell((said, *f"{language}{rows}".split(" ", 1), *more))
+    shown = "-" if beside_compiled and language == LANGUAGES[2] else f"{np.median(us):.0f}"
+    return Cell((shown, *f"{language}{rows}".split(" ", 1), *more))
 
 
 def _solvers(comparison: Comparison) -> str:
     """What solved the QPs; by controller where that differs."""
-    used = {name: said for name, m in comparison.metrics.items() if (said := _solver(m))}
+    used = {name: solver for name, m in comparison.metrics.items() if (solver := _solver(m))}
     kinds = dict.fromkeys(used.values())
     if len(kinds) < 2:
         return next(iter(kinds), "none")
-    of = {said: ", ".join(name for name, own in used.items() if own == said) for said in kinds}
-    return "; ".join(f"{said} ({names})" for said, names in of.items())
+    of = {kind: ", ".join(name for name, own in used.items() if own == kind) for kind in kinds}
+    return "; ".join(f"{solver} ({names})" for solver, names in of.items())
 
 
 def _solver(metrics: Mapping[str, Any]) -> str:
@@ -144,36 +142,32 @@ def _acceleration(found: Assessment) -> Cell:
 
 
 def _motors(found: Assessment) -> Cell:
-    """Motors at their limits; none where the plant has no motors."""
     if "tau" not in found.trace.signals:
         return Cell(("-",))
     shares = list(found.saturated.items())
-    lines = [f"{joint}: {100.0 * share:.0f} %" for joint, share in shares[:MOST_LINES]]
-    more = [f"{len(shares) - MOST_LINES} more"] if len(shares) > MOST_LINES else []
-    return Cell((*lines, *more) or ("0 %",), bool(shares))
+    lines = [f"{joint}: {100.0 * share:.0f} %" for joint, share in shares[:MAX_LINES]]
+    lines += [f"{len(shares) - MAX_LINES} more"] if len(shares) > MAX_LINES else []
+    return Cell((*lines,) or ("0 %",), bool(shares))
 
 
 def facts(comparison: Comparison) -> list[tuple[str, str]]:
     """What the runs have in common, as name and value."""
     scenario = comparison.scenario
     limits = ", ".join(type_name(type(limit)) for limit in scenario.limits) or "none"
+    released = {phase.name: " and ".join(phase.released) for phase in scenario.phases}
+    phases = (name + (f" ({arms} released)" if arms else "") for name, arms in released.items())
     listed = [
         ("robot", scenario.robot_model.name),
         ("control period", f"{1e3 * scenario.dt:g} ms"),
         ("duration", f"{scenario.ticks * scenario.dt:g} s"),
-        ("phases", ", ".join(map(_phase, scenario.phases))),
-        ("Baumgarte gain κ", f"{scenario.drift_gain:g} 1/s ({_worst_gap(comparison)})"),
+        ("phases", ", ".join(phases)),
+        ("Baumgarte gain κ", f"{scenario.drift_gain:g} 1/s ({_worst_loop_error(comparison)})"),
         ("QP solver", _solvers(comparison)),
         ("limits of the QP", limits),
         ("plant", type_name(type(scenario.plant))),
         ("redundant loop rows left out", ", ".join(scenario.chain.loops.dropped)),
     ]
     return [(name, value) for name, value in listed if value]
-
-
-def _phase(phase: Phase) -> str:
-    released = f" ({' and '.join(phase.released)} released)" if phase.released else ""
-    return f"{phase.name}{released}"
 
 
 def length(value: float, unit: str) -> tuple[float, str]:
@@ -188,11 +182,6 @@ def number(value: float) -> str:
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
-def _worst(beyond_by: Array) -> int:
-    """The joint with the largest of the values, shape (T, n)."""
-    return int(beyond_by.max(axis=0, initial=-np.inf).argmax())
-
-
 def _quantity(value: float, unit: str) -> str:
     """With its unit; nothing and infinity need none."""
     bare = value == 0.0 or math.isinf(value)
@@ -203,7 +192,7 @@ def _task_error(found: Assessment) -> Cell:
     ends, lines = found.tasks, []
     if not ends:
         return Cell(("no task",), None)
-    if len(ends) > MOST_LINES:
+    if len(ends) > MAX_LINES:
         lines.append(f"worst of {len(ends)}:")
         ends = (max(ends, key=lambda task: task.share),)
     for task in ends:
@@ -214,13 +203,7 @@ def _task_error(found: Assessment) -> Cell:
     return Cell(tuple(lines), bool(found.missed), each)
 
 
-def _failed(metrics: Mapping[str, Any]) -> Cell:
-    failed, inaccurate = metrics["failed_ticks"], metrics["inaccurate_ticks"]
-    more = (f"{inaccurate} inaccurate",) if inaccurate else ()
-    return Cell((f"{failed} of {metrics['ticks']}", *more), failed > 0 or inaccurate > 0)
-
-
-def _worst_gap(comparison: Comparison) -> str:
+def _worst_loop_error(comparison: Comparison) -> str:
     errors = {name: metrics["loop_error_max"] for name, metrics in comparison.metrics.items()}
     worst = max(errors, key=lambda name: float(errors[name]["position"]))
     position, orientation = (1e3 * errors[worst][key] for key in ("position", "orientation"))

@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -85,7 +84,7 @@ def styles(traces: Mapping[str, Trace]) -> dict[str, Style]:
 def chosen_styles(keeps_limits: Mapping[str, bool]) -> dict[str, Style]:
     """The same by whether each controller keeps limits."""
     chosen: dict[str, Style] = {}
-    before = {True: count(), False: count()}
+    before = {True: itertools.count(), False: itertools.count()}
     for name, keeps in keeps_limits.items():
         colors, dashes = (QP_COLORS, QP_DASHES) if keeps else (OTHER_COLORS, OTHER_DASHES)
         i = next(before[keeps])
@@ -255,11 +254,8 @@ class Chart:
     @cached_property
     def problems(self) -> dict[str, list[ControlProblem]]:
         """Each controller's problem in each phase, from where it then was."""
-        scenario = self.comparison.scenario
-        return {
-            name: list(scenario.held_by(name).problems(trace.commanded.__getitem__))
-            for name, trace in self.traces.items()
-        }
+        held_by, traces = self.comparison.scenario.held_by, self.traces.items()
+        return {k: list(held_by(k).problems(of.commanded.__getitem__)) for k, of in traces}
 
     def instants(self, trace: Trace, count: int) -> list[NDArray[np.int64]]:
         """At most ``count`` rows of each phase, evenly spread, first and last among them."""
@@ -275,8 +271,7 @@ class Chart:
 
     def layout(self, axis: Json, *levels: Json) -> Json:
         """Over the whole run, with a line where a phase begins."""
-        phases = self.any.phases
-        begins = [upright(float(self.any.t[p.first]), p.name, after=True) for p in phases]
+        begins = [upright(float(self.any.t[p.first]), p.name, after=True) for p in self.any.phases]
         return layout(self.end, axis, *begins, *levels)
 
     def figure(
@@ -286,16 +281,18 @@ class Chart:
         lines: Lines,
         shown: Window,
         *levels: Json,
-        allowed: tuple[float, float] = (-np.inf, np.inf),
+        lower: tuple[float, str] = (-np.inf, ""),
+        upper: tuple[float, str] = (np.inf, ""),
         log: bool = False,
         steps: bool = False,
         rows: slice = ALWAYS,
         extra: Iterable[Json] = (),
-        notes: tuple[str, ...] = (),
+        noted: str | None = None,  # unit in which notes tell of lines that leave the chart
     ) -> Figure:
-        """Lines at some rows of the trace; hatched beyond the two heights that are allowed."""
-        t = self.any.t[rows]
-        hatched = [(shown.bottom, allowed[0]), (allowed[1], shown.top)]
+        """Lines at some rows of the trace; hatched beyond lower and upper bound, with names."""
+        t, ends = self.any.t[rows], ((lower, False), (upper, True))
+        bounds = [level(*of, above=up, log=log) for of, up in ends if math.isfinite(of[0])]
+        hatched = [(shown.bottom, lower[0]), (upper[0], shown.top)]
         x = [0.0, self.end, self.end, 0.0, 0.0]
         data = [HATCHED | {"x": x, "y": [a, a, b, b, a]} for a, b in hatched if a < b]
         for name, y in lines.items():
@@ -305,8 +302,8 @@ class Chart:
             title=title,
             unit=f"{unit}, log scale" if log else unit,
             data=[*data, *extra],
-            layout=self.layout(axis, *levels),
-            notes=notes,
+            layout=self.layout(axis, *bounds, *levels),
+            notes=() if noted is None else off_chart(shown, lines, noted),
         )
 
     def plain(self, title: str, unit: str, lines: Lines) -> Figure:

@@ -51,8 +51,8 @@ class Study:
         return f"{self.scenario.name}, phase {self.phase}" if self.phase else self.scenario.name
 
     def verdict(self) -> str:
-        forces = self.forces.sentences() if self.forces else ()
-        return " ".join([self.mobility.verdict(), *forces])
+        of_forces = self.forces.sentences() if self.forces else ()
+        return " ".join([self.mobility.verdict(), *of_forces])
 
 
 def study(
@@ -130,13 +130,11 @@ def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
     if internal is None:
         return None
     ranks = internal.transmission
+    borne = {arm.arm: [screw.describe_force() for screw in arm.borne] for arm in ranks.arms}
     return {
         "dimensions": ranks.dimensions,
         "all": ranks.all,
-        "arms": {
-            arm.arm: asdict(arm.counts) | {"borne": [screw.describe_force() for screw in arm.borne]}
-            for arm in ranks.arms
-        },
+        "arms": {arm.arm: asdict(arm.counts) | {"borne": borne[arm.arm]} for arm in ranks.arms},
         "pairs": [
             {"arms": pair.arms, **asdict(pair.counts), "components": pair.components}
             for pair in ranks.pairs
@@ -172,8 +170,7 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
         for task in m.tasks
     ]
     if len(m.tasks) > 1:
-        free = _free(m.tasks_rank, m.tasks_weakest)
-        lines.append((f"all tasks, {m.tasks_rows} rows", "", free))
+        lines.append((f"all tasks, {m.tasks_rows} rows", "", _free(m.tasks_rank, m.tasks_weakest)))
     lines += [("impossible motion", "", screw.describe()) for screw in m.impossible]
     lines += [("motion no motor decides", "", screw.describe()) for screw in m.uncontrolled]
     lines += _force_rows(result.forces) if result.forces else []
@@ -201,14 +198,11 @@ def _free(rank: int, weakest: float) -> str:
 def schemes(result: Study) -> list[tuple[str, str, str]]:
     """The named and the best schemes with their condition at generic poses and at the start."""
     m = result.mobility
-    return [
-        (
-            ", ".join(s.joints),
-            f"{s.condition:.3g}" if s.admissible else "inadmissible",
-            f"{s.condition_start:.3g}" if s.admissible_start else "singular",
-        )
-        for s in ([m.requested] if m.requested else []) + list(m.schemes[:SHOWN])
-    ]
+    shown = ([m.requested] if m.requested else []) + list(m.schemes[:SHOWN])
+    joints = (", ".join(s.joints) for s in shown)
+    generic = (f"{s.condition:.3g}" if s.admissible else "inadmissible" for s in shown)
+    start = (f"{s.condition_start:.3g}" if s.admissible_start else "singular" for s in shown)
+    return list(zip(joints, generic, start, strict=True))
 
 
 def tables(result: Study) -> list[Table]:

@@ -29,7 +29,7 @@ HERE = Path(__file__).parent
 KINDS = {None: "", True: "bad", False: "good"}  # of cells, by whether they are bad
 PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
 FEW = 4  # columns that narrow pages have room for
-WORDS = ("blocked_<wbr>by", "broken")  # columns of names, in studies
+NAMES = ("blocked_<wbr>by", "broken")  # columns of names, in studies
 #: Columns that may get narrow, so that the verdict does not.
 WRAPPING = ("task_error", "limit", "speed", "acceleration", "margin", "loop", "motors", "tick")
 
@@ -37,11 +37,8 @@ WRAPPING = ("task_error", "limit", "speed", "acceleration", "margin", "loop", "m
 def render(comparison: Comparison, folder: Path | None = None) -> str:
     """The report as one page; in a folder it says how to have a missed goal explained."""
     looks, parts = styles(comparison.traces), groups(comparison)
-    plots = [
-        {"data": figure.data, "layout": figure.layout, "overTime": figure.over_time}
-        for group in parts
-        for figure in (*group.figures, *group.folded)
-    ]
+    figures = [figure for group in parts for figure in (*group.figures, *group.folded)]
+    plots = [{"data": x.data, "layout": x.layout, "overTime": x.over_time} for x in figures]
     return Template(asset("page.html")).substitute(
         title=text(comparison.scenario.name),
         description=text(comparison.scenario.description),
@@ -93,22 +90,18 @@ def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """
     first, *others = heads
     words = [re.sub(r"<[^>]*>", " ", head.replace("<wbr>", "")).strip() for head in others]
-    kinds = [' class="words"' if head in WORDS else "" for head in others]
+    kinds = [' class="words"' if head in NAMES else "" for head in others]
+    tags = [f'<td{x} data-heading="{word}">' for x, word in zip(kinds, words, strict=True)]
     head = f'<th class="name">{first}</th>' + "".join(f"<th>{x}</th>" for x in others)
     body = "".join(
         f'<tr><th scope="row" class="name">{name}</th>'
-        + "".join(
-            f'<td{kind} data-heading="{word}">{cell}</td>'
-            for kind, word, cell in zip(kinds, words, cells, strict=True)
-        )
+        + "".join(f"{tag}{cell}</td>" for tag, cell in zip(tags, cells, strict=True))
         + "</tr>"
         for name, *cells in rows
     )
     kind = "summary result" if len(heads) > FEW else "summary"
-    return (
-        f'<div class="wide"><table class="{kind}">'
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
+    rows_of_table = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+    return f'<div class="wide"><table class="{kind}">{rows_of_table}</table></div>'
 
 
 def _summary(comparison: Comparison, looks: dict[str, Style], folder: Path | None) -> str:
@@ -129,8 +122,8 @@ def _row(comparison: Comparison, name: str, style: Style, folder: Path | None) -
     traces = comparison.traces
     row = cells(traces[name], comparison.metrics[name], traces.values())
     entries = "".join(_entry(row[k], column, wraps=k in WRAPPING) for k, column in COLUMNS.items())
-    told = folder if comparison.scenario.source and row["reached"].bad else None
-    why = _explained_by(comparison, name, told) if told else ""
+    missed = comparison.scenario.source and row["reached"].bad
+    why = _explained_by(comparison, name, folder) if folder and missed else ""
     return (
         f'<tr><th scope="row" class="name">{breakable(name)}{style.swatch()}</th>'
         f'<td class="verdict">{text(comparison.verdicts[name])}{why}</td>{entries}</tr>'
@@ -138,7 +131,6 @@ def _row(comparison: Comparison, name: str, style: Style, folder: Path | None) -
 
 
 def _explained_by(comparison: Comparison, name: str, folder: Path) -> str:
-    """The command that says why a run has missed its goal."""
     words = ["coopqp", "explain", str(folder), "--controller", name]
     own = zip(("--tasks", "--plugins"), comparison.scenario.catalog.folders, strict=True)
     words += [word for key, paths in own for path in paths for word in (key, os.path.relpath(path))]
@@ -166,38 +158,28 @@ def _legend(looks: dict[str, Style]) -> str:
 
 
 def _pane(name: str, style: Style) -> str:
-    return (
-        f'<div class="pane"><h3>{style.swatch()}<span>{breakable(name)}</span></h3>'
-        '<canvas></canvas><p class="readout"></p></div>'
-    )
+    title = f"<h3>{style.swatch()}<span>{breakable(name)}</span></h3>"
+    return f'<div class="pane">{title}<canvas></canvas><p class="readout"></p></div>'
 
 
 def _group(group: Group) -> str:
     hint = f'<p class="hint">{text(group.hint)}</p>' if group.hint else ""
-    words = "".join(
-        f'<p class="hint"><b>{text(word)}</b>: {text(meaning)}</p>'
-        for word, meaning in group.words.items()
-    )
-    shown = f'<div class="grid">{"".join(map(_figure, group.figures))}</div>'
-    folded = (
-        f"<details><summary>{text(group.more)}</summary>"
-        f'<div class="grid">{"".join(map(_figure, group.folded))}</div></details>'
-    )
-    return (
-        f'<section><div class="lead"><h2>{text(group.title)}</h2>{hint}{words}</div>'
-        f"{shown if group.figures else ''}{folded if group.folded else ''}</section>"
-    )
+    terms = ((text(term), text(meaning)) for term, meaning in group.terms.items())
+    words = "".join(f'<p class="hint"><b>{term}</b>: {meaning}</p>' for term, meaning in terms)
+    both = ("".join(map(_figure, figures)) for figures in (group.figures, group.folded))
+    shown, folded = (f'<div class="grid">{x}</div>' if x else "" for x in both)
+    if folded:
+        folded = f"<details><summary>{text(group.more)}</summary>{folded}</details>"
+    lead = f'<div class="lead"><h2>{text(group.title)}</h2>{hint}{words}</div>'
+    return f"<section>{lead}{shown}{folded}</section>"
 
 
 def _figure(figure: Figure) -> str:
     notes = "".join(f'<span class="note">{text(note)}</span>' for note in figure.notes)
     about = f", {text(figure.about)}" if figure.about else ""
     kind = ' class="alone"' if figure.alone else ""
-    return (
-        f"<figure{kind}><figcaption>"
-        f"{text(figure.title)}<small>{about} [{text(figure.unit)}]</small>{notes}"
-        '</figcaption><div class="plot"></div></figure>'
-    )
+    caption = f"{text(figure.title)}<small>{about} [{text(figure.unit)}]</small>{notes}"
+    return f'<figure{kind}><figcaption>{caption}</figcaption><div class="plot"></div></figure>'
 
 
 def how_to_read(comparison: Comparison) -> Iterator[str]:
@@ -207,11 +189,9 @@ def how_to_read(comparison: Comparison) -> Iterator[str]:
         "stay where it holds the object. This condition is the closed loop. The loop error is "
         "what steps of finite length leave; Baumgarte stabilisation with the gain κ pulls it back."
     )
-    advice = (
-        "the scenario's joint_acceleration bounds it"
-        if any(isinstance(limit, JointAcceleration) for limit in comparison.scenario.limits)
-        else "joint_acceleration in the scenario's limits bounds it here as well"
-    )
+    advice = "joint_acceleration in the scenario's limits bounds it here as well"
+    if any(isinstance(limit, JointAcceleration) for limit in comparison.scenario.limits):
+        advice = "the scenario's joint_acceleration bounds it"
     yield (
         "The acceleration is how fast the speed of a joint changes from one tick to the next. "
         "The loop for robots, OnlineLoop, allows as much as brings a joint from rest to its full "
@@ -258,11 +238,9 @@ def _forces(comparison: Comparison) -> Iterator[str]:
 
 
 def _laws(comparison: Comparison) -> Iterator[str]:
-    bounded = (
-        "and no joint goes beyond its limits"
-        if comparison.scenario.limits
-        else "and joints keep the limits that the scenario lists (this one lists none)"
-    )
+    bounded = "and no joint goes beyond its limits"
+    if not comparison.scenario.limits:
+        bounded = "and joints keep the limits that the scenario lists (this one lists none)"
     yield (
         "The pseudoinverse laws compute joint speeds that move the object and keep the loop "
         "closed, but they do not know the joint limits; the null-space variant follows a gradient "

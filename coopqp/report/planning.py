@@ -16,7 +16,7 @@ from coopqp.base.reading import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
 from coopqp.report import strict_json
-from coopqp.report.curves import BLACK, PALETTE
+from coopqp.report.curves import BLACK, PALETTE, Json
 from coopqp.report.files import write_one
 from coopqp.report.page import asset, html_table, text
 from coopqp.scenario.loader import load
@@ -27,8 +27,7 @@ from coopqp.scenario.yaml import parsed, with_keys
 PATH = "plan.csv"
 #: Of a timed path: its table, and the page that shows what is active where.
 TIMED, PAGE = "timed.csv", "timed.html"
-#: Headings of its limits.
-TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")
+TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")  # headings of its limits
 #: Size of a picture, and of its margin [px]; colours of the limits that are active longest.
 WIDTH, HEIGHT, MARGIN, GRAY = 940, 320, 40, "#555555"
 COLORS = PALETTE[:-1]  # the frame is black
@@ -64,12 +63,12 @@ def reach_json(found: Reach) -> str:
 
 def plan_json(found: Plan) -> str:
     """A plan without its points."""
-    seen = found.verification
+    check = found.verification
     data: dict[str, Any] = {
         "found": found.success, "proven_unreachable": found.proven, "sentence": found.sentence,
         "length": found.length, "duration": float(found.t[-1]) if len(found.t) else 0.0,
         "seconds": found.seconds,
-        "verified": {"points": seen.points, "open": seen.open} if seen else None,
+        "verified": {"points": check.points, "open": check.open} if check else None,
     }  # fmt: skip
     return strict_json.text(data)
 
@@ -115,9 +114,7 @@ def write_timed(
     return [*written, folder / PAGE]
 
 
-def _write(
-    table: str, name: str, scenario: Scenario, folder: Path, keys: dict[str, Any]
-) -> list[Path]:
+def _write(table: str, name: str, scenario: Scenario, folder: Path, keys: Json) -> list[Path]:
     path = folder / name
     write_one(path, table)
     if not scenario.source:
@@ -156,15 +153,13 @@ def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenari
             for name, *cells in _active(found, more)
         ]
         lines = filter(None, [*found.sentences, found.coarse(scenario.dt)])
-        said = "".join(f"<p>{text(line)}</p>" for line in lines)
+        sentences = "".join(f"<p>{text(line)}</p>" for line in lines)
         sections += (
-            f'<section><h2>{text(title)}</h2><aside class="how">{said}</aside>'
+            f'<section><h2>{text(title)}</h2><aside class="how">{sentences}</aside>'
             f"{_picture(found, colors)}{html_table(TITLES, rows)}</section>"
         )
-    about = text(scenario.description)
-    return page.substitute(
-        title=text(scenario.name), about=about, css=asset("page.css"), of=sections
-    )
+    about, css = text(scenario.description), asset("page.css")
+    return page.substitute(title=text(scenario.name), about=about, css=css, of=sections)
 
 
 def phase_titles(parts: Sequence[TimedPath], scenario: Scenario) -> list[str]:
@@ -183,16 +178,15 @@ def _picture(found: TimedPath, colors: dict[str, str]) -> str:
         at = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
         return f'<polyline points="{at}" fill="none" stroke="{color}" stroke-width="{width}"/>'
 
-    most, y = (low - (low - MARGIN) * np.sqrt(np.maximum(k, 0.0)) / top for k in (way.max_x, way.x))
-    parts = [line(zip(x, most, strict=True), "#cccccc", 1.5)]
+    heights = (np.sqrt(np.maximum(k, 0.0)) / top for k in (way.max_x, way.x))
+    bound, y = (low - (low - MARGIN) * height for height in heights)
+    parts = [line(zip(x, bound, strict=True), "#cccccc", 1.5)]
     parts.append(line([(MARGIN, MARGIN), (MARGIN, low), (WIDTH - MARGIN, low)], BLACK, 1.0))
     pairs = list(zip(x, y, strict=True))
     for k, name in enumerate(found.active):
         parts.append(line(pairs[k : k + 2], colors.get(name, GRAY), 3.0))
-    for height, words in (
-        (HEIGHT - 12, f"length of the path, 0 to {way.s[-1]:.3g} rad"),
-        (MARGIN - 8, f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"),
-    ):
-        parts.append(f'<text x="{MARGIN}" y="{height}" font-size="13">{words}</text>')
+    label = f'<text x="{MARGIN}" y="{{}}" font-size="13">{{}}</text>'.format
+    above = f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"
+    parts.append(label(HEIGHT - 12, f"length of the path, 0 to {way.s[-1]:.3g} rad"))
     head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}">'
-    return "".join([head, *parts, "</svg>"])
+    return "".join([head, *parts, label(MARGIN - 8, above), "</svg>"])

@@ -79,19 +79,15 @@ COLORS = {None: "", True: "red", False: "green"}
 def summary(comparison: Comparison) -> Table:
     """One row a controller; fits 100 columns."""
     # A Text shows what it is given; a plain string would read [brackets] in names as markup.
-    table = Table(
-        title=Text(one_line(comparison.scenario.name), style="bold"),
-        title_justify="left",
-        box=box.HORIZONTALS,
-        show_lines=True,
-    )
+    title = Text(one_line(comparison.scenario.name), style="bold")
+    table = Table(title=title, title_justify="left", box=box.HORIZONTALS, show_lines=True)
     table.add_column("controller and verdict", ratio=1, overflow="fold")
     for heading in SHOWN.values():
         table.add_column(Text(heading), justify="right", no_wrap=True)
     for name, trace in comparison.traces.items():
         row = cells(trace, comparison.metrics[name], comparison.traces.values())
-        said = Text.assemble((name, "bold"), "\n", comparison.verdicts[name])
-        table.add_row(said, *(_entry(row[key]) for key in SHOWN))
+        verdict = Text.assemble((name, "bold"), "\n", comparison.verdicts[name])
+        table.add_row(verdict, *(_entry(row[key]) for key in SHOWN))
     return table
 
 
@@ -122,5 +118,6 @@ def tick_text(record: TickRecord, *, as_json: bool) -> str:
     found = explain(record)
     if as_json:
         return strict_json.text({"tick": record.tick, "status": record.status, **asdict(found)})
-    said = f"{found.sentence[0].upper()}{found.sentence[1:]}."
-    return f"{record.scenario}, {record.controller}, tick {record.tick} ({record.status}):\n{said}"
+    tick = f"tick {record.tick} ({record.status})"
+    sentence = f"{found.sentence[0].upper()}{found.sentence[1:]}."
+    return f"{record.scenario}, {record.controller}, {tick}:\n{sentence}"

@@ -29,8 +29,7 @@ from coopqp.base.spec import (
 )
 from coopqp.model.grasp_configuration import check_inertia, inertia_matrix
 
-#: sin(alpha) below which two axes count as parallel.
-PARALLEL_AXES = 1e-8
+PARALLEL_AXES = 1e-8  # sin(alpha) below which two axes count as parallel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,17 +171,15 @@ def grasp_parameters(X: pin.SE3) -> MdhParameters:
         theta = math.atan2(R[2, 0], R[2, 1])
         d, minus_r_sin, b_plus_r_cos = _rot_z(-gamma) @ p
         r = -minus_r_sin / sin_alpha
-        return MdhParameters(
-            gamma=gamma, b=b_plus_r_cos - r * R[2, 2], alpha=alpha, d=d, theta=theta, r=r
-        )
+        b = b_plus_r_cos - r * R[2, 2]
+        return MdhParameters(gamma=gamma, b=b, alpha=alpha, d=d, theta=theta, r=r)
     # Parallel axes: alpha is 0 or pi and only gamma +- theta matters; x is along the offset.
     alpha = 0.0 if R[2, 2] > 0.0 else math.pi
     gamma = math.atan2(p[1], p[0])
     about_z = math.atan2(R[1, 0], R[0, 0])
     theta = about_z - gamma if alpha == 0.0 else gamma - about_z
-    return MdhParameters(
-        gamma=gamma, b=p[2], alpha=alpha, d=math.hypot(p[0], p[1]), theta=theta, r=0.0
-    )
+    d = math.hypot(p[0], p[1])
+    return MdhParameters(gamma=gamma, b=p[2], alpha=alpha, d=d, theta=theta, r=0.0)
 
 
 _Placed = dict[str | None, tuple[int, pin.SE3]]
@@ -226,8 +223,7 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
             joint, X = placed[row.name]
             R = (data.oMi[joint] * X).rotation.T if row.axes == "base" else np.eye(3)
             about = R @ inertia_matrix(row.inertia) @ R.T
-            body = pin.Inertia(row.mass, R @ np.asarray(row.com), about)
-            model.appendBodyToJoint(joint, body, X)
+            model.appendBodyToJoint(joint, pin.Inertia(row.mass, R @ np.asarray(row.com), about), X)
     _add_tips(model, data, tips, placed)
     return model
 

@@ -8,7 +8,7 @@ COLLADA file, as by pinocchio; its geometry is that of the scene, where its node
 import math
 import xml.etree.ElementTree as ET
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -88,7 +88,7 @@ def _vertex(place: str, words: list[bytes], maximum: int) -> list[float]:
     return found
 
 
-MOST = 10**9  # largest number of a vertex
+MAX_VERTEX = 10**9  # largest number of a vertex
 COLOURED = 8  # numbers of a vertex with a weight and a colour
 
 
@@ -122,7 +122,7 @@ def _face(place: str, words: list[bytes], last: int) -> list[int]:
     except ValueError:
         given = []
     face = [i - 1 if i > 0 else last + i for i in given]
-    if len(face) < 3 or 0 in given or min(face) < 0 or max(face) > MOST:
+    if len(face) < 3 or 0 in given or min(face) < 0 or max(face) > MAX_VERTEX:
         shown = b" ".join(words)[:40].decode("ascii", "replace")
         raise InvalidValueError(f"{place}: found '{shown}', needs 3 vertices or more by number")
     return face
@@ -132,8 +132,7 @@ def _face(place: str, words: list[bytes], last: int) -> list[int]:
 MAX_NODES, MAX_CORNERS = 10_000, 10_000_000
 #: Geometry with faces; lines and points are ignored.
 FACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
-#: Parts of a node that would move its geometry.
-NOT_READ = ("lookat", "skew", "instance_controller")
+NOT_READ = ("lookat", "skew", "instance_controller")  # parts of a node that would move its geometry
 
 
 def _collada(path: Path) -> tuple[Array, Ints]:
@@ -220,9 +219,8 @@ def _instances(xml: ET.Element, library: _Library) -> Iterator[tuple[Array, ET.E
         X, holder, depth = waiting.pop()
         nodes += 1
         if nodes > MAX_NODES or depth > MAX_DEPTH:
-            raise fault(
-                holder, f"nodes inside nodes are more than {MAX_NODES}, or go round in a circle"
-            )
+            words = f"nodes inside nodes are more than {MAX_NODES}, or go round in a circle"
+            raise fault(holder, words)
         X = X @ _transform(holder) if holder.tag == "node" else X
         for other in holder:
             if other.tag in NOT_READ:
@@ -306,11 +304,7 @@ def _ints(element: ET.Element) -> Ints:
 
 
 #: By suffix, readers of vertices and of triangles as rows of them.
-READERS: Mapping[str, Callable[[Path], tuple[Array, Ints]]] = {
-    ".stl": _stl,
-    ".obj": _obj,
-    ".dae": _collada,
-}
+READERS = {".stl": _stl, ".obj": _obj, ".dae": _collada}
 
 
 @dataclass(frozen=True, eq=False)

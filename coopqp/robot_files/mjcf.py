@@ -55,8 +55,7 @@ NOT_READ = {
 }
 #: Attributes that name something, which may be called "nan".
 NAMES = ("name", "class", "childclass", "model", "file", "joint", "joint1", "joint2", "mesh")
-#: Letters of an attribute or its name; MuJoCo truncates long messages, with the line.
-LONGEST = 250
+LONGEST = 250  # letters of an attribute or its name; MuJoCo truncates long messages, with the line
 LONG = ("vertex", "normal", "texcoord", "face", "user", "file")  # that may be longer
 NOT_A_NUMBER = re.compile(r"(^|\s)[+-]?nan", re.IGNORECASE)
 #: MuJoCo's messages, and plainer ones.
@@ -94,11 +93,7 @@ KEYWORDS = (
 
 
 def read_mjcf(path: Path) -> Description:
-    """Read a MuJoCo file.
-
-    InvalidValueError: no such file, or not an MJCF file. MissingDependencyError: mujoco is not
-    installed.
-    """
+    """Read a MuJoCo file; InvalidValueError: none, or no MJCF; MissingDependencyError: mujoco."""
     xml = read_xml(path, ["mujoco"], "MJCF")
     _Includes(absolute(path)).fill_in(xml)
     _take_out(xml)
@@ -156,8 +151,7 @@ def _take_out(xml: ET.Element) -> None:
         if element.tag in NOT_READ:
             raise fault(element, f"is not read; {NOT_READ[element.tag]}")
         texts = [text for key, text in element.attrib.items() if key not in LONG]
-        said = (element.tag, *element.attrib, *texts)
-        if len(longest := max(said, key=len)) > LONGEST:
+        if len(longest := max((element.tag, *element.attrib, *texts), key=len)) > LONGEST:
             words = f"found '{longest[:40]}...', which has more than {LONGEST} letters"
             raise InvalidValueError(f"{getattr(element, 'place', '')}: {words}")
         for key, text in element.attrib.items():
@@ -209,10 +203,11 @@ class _Compiled:
         try:
             model = pinocchio_model(self._model, named)
         except ValueError as error:  # of names
-            raise fault(
-                self._elements[0], f"is not a robot that can be read: {pinocchio_says(error)}"
-            ) from None
+            words = f"is not a robot that can be read: {pinocchio_says(error)}"
+            raise fault(self._elements[0], words) from None
         drawn, collide = self._geoms.shapes(self._model, named)
+        joints = ((x, self._element(x.info or x.parent.info)) for x in self._spec.joints)
+        placed = ((row_of(x, self._model.joint), getattr(e, "place", "")) for x, e in joints)
         return Description(
             name=self._elements[0].get("model") or self._path.stem,
             model=model,
@@ -222,29 +217,24 @@ class _Compiled:
             collision_shapes=collide,
             unseen=self._geoms.unseen(self._model, named),
             warnings=self._geoms.warnings(self._model, named, drawn, collide),
-            places={
-                named.joints[row_of(joint, self._model.joint)]: place
-                for joint in self._spec.joints
-                if (place := getattr(self._element(joint.info or joint.parent.info), "place", ""))
-            },
+            places={named.joints[i]: place for i, place in placed if place},
         )
 
-    def _element(self, said: str) -> ET.Element:
+    def _element(self, message: str) -> ET.Element:
         """The element whose line a message names; the outermost one where none is."""
-        line = re.search(r"line (\d+)", said)
+        line = re.search(r"line (\d+)", message)
         return self._elements[int(line[1]) - 1 if line else 0]
 
-    def _refusal(self, said: str) -> InvalidValueError:
+    def _refusal(self, message: str) -> InvalidValueError:
         """MuJoCo's words, with the place in the file and the nearest name of what is misspelt."""
-        words, element = said.strip().partition("\n")[0], self._element(said)
+        words, element = message.strip().partition("\n")[0], self._element(message)
         for pattern, plain in PLAIN.items():
             words = re.sub(pattern, plain, words)
         if element.tag == "body" and re.search("mass|inertia", words):
             element = element if (own := element.find("inertial")) is None else own
         if words == "unknown element":
             words += f" '{element.tag}'"
-        hint = self._hint(words, element)
-        return fault(element, f"{words}{hint}", _attribute(words, element))
+        return fault(element, f"{words}{self._hint(words, element)}", _attribute(words, element))
 
     def _hint(self, words: str, element: ET.Element) -> str:
         """What an unknown word may have been meant to be."""

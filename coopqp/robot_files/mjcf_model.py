@@ -10,7 +10,7 @@ drawn.
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -27,8 +27,7 @@ from coopqp.robot_files.meshes import Mesh, read_mesh
 from coopqp.robot_files.selection import Follower
 from coopqp.robot_files.xml import missing_meshes
 
-#: Prefix of a geom's name that a body has already; names in files may have it, too.
-WORLD = "world/"
+WORLD = "world/"  # prefix of a geom's name that a body has already; names in files may have it, too
 #: Numbers of MuJoCo's kinds of joints, motors and equalities.
 FREE, BALL, SLIDE, HINGE = 0, 1, 2, 3
 AT_JOINT, FIXED_GAIN, NO_BIAS, OF_CONTROL, JOINT_TIE = (0, 1), 0, 0, (0, 2, 3), 2
@@ -89,7 +88,10 @@ def pinocchio_model(model: Any, named: Named) -> pin.Model:
                 at_anchor = X * anchor * _back_to_zero(model, joint)
                 parent = _add_joint(made, model, joint, parent, at_anchor, named.joints[joint])
                 X = anchor.inverse()
-        made.appendBodyToJoint(parent, _inertia(model, body), X)
+        own = pose(model.body_ipos[body], model.body_iquat[body])
+        moments = own.rotation @ np.diag(model.body_inertia[body]) @ own.rotation.T
+        inertia = pin.Inertia(float(model.body_mass[body]), own.translation, moments)
+        made.appendBodyToJoint(parent, inertia, X)
         made.addBodyFrame(named.bodies[body], parent, X, 0)
         at.append((parent, X))
     turned = [dof for dof in range(model.nv) if model.jnt_type[model.dof_jntid[dof]] != FREE]
@@ -134,17 +136,10 @@ def pose(p: Array, quaternion: Array) -> pin.SE3:
     return pin.SE3(pin.Quaternion(*map(float, quaternion)).matrix(), np.array(p))
 
 
-def _inertia(model: Any, body: int) -> pin.Inertia:
-    X = pose(model.body_ipos[body], model.body_iquat[body])
-    moments = X.rotation @ np.diag(model.body_inertia[body]) @ X.rotation.T
-    return pin.Inertia(float(model.body_mass[body]), X.translation, moments)
-
-
 def _effort(model: Any, joint: int) -> float:
     """Effort limit of a joint's motors in both directions [N m or N]; infinite if unknown."""
-    motors = np.flatnonzero(
-        (model.actuator_trnid[:, 0] == joint) & np.isin(model.actuator_trntype, AT_JOINT)
-    )
+    at_joint = np.isin(model.actuator_trntype, AT_JOINT)
+    motors = np.flatnonzero((model.actuator_trnid[:, 0] == joint) & at_joint)
     low, high = -np.inf, np.inf
     if len(motors):
         low, high = np.sum([_motor(model, motor) for motor in motors], axis=0)
@@ -174,26 +169,21 @@ def followers(model: Any, named: Named) -> dict[str, Follower]:
     """Joints that an equality ties to another one."""
     found = {}
     for tie in np.flatnonzero((model.eq_type == JOINT_TIE) & (model.eq_active0 != 0)):
-        leader = model.eq_obj2id[tie]
-        offset, ratio = map(float, model.eq_data[tie, :2])
-        found[named.joints[model.eq_obj1id[tie]]] = Follower(
-            leader=named.joints[leader] if leader >= 0 else "", ratio=ratio, offset=offset
-        )
+        i, offset, ratio = model.eq_obj2id[tie], *map(float, model.eq_data[tie, :2])
+        leader = named.joints[i] if i >= 0 else ""
+        own = named.joints[model.eq_obj1id[tie]]
+        found[own] = Follower(leader=leader, ratio=ratio, offset=offset)
     return found
 
 
 def floating(model: Any, named: Named) -> dict[str, frozenset[str]]:
     """Free joints, and the names of all that each moves."""
     root, found = model.body_rootid, {}
+    names = [*named.bodies, *named.joints, *named.sites]
+    bodies = np.concatenate([np.arange(model.nbody), model.jnt_bodyid, model.site_bodyid])
     for joint in np.flatnonzero(model.jnt_type == FREE):
-        body, moved = model.jnt_bodyid[joint], set[str]()
-        for names, bodies in (
-            (named.bodies, np.arange(model.nbody)),
-            (named.joints, model.jnt_bodyid),
-            (named.sites, model.site_bodyid),
-        ):
-            moved.update(names[i] for i in np.flatnonzero(root[bodies] == body))
-        found[named.joints[joint]] = frozenset(moved)
+        moved = np.flatnonzero(root[bodies] == model.jnt_bodyid[joint])
+        found[named.joints[joint]] = frozenset(names[i] for i in moved)
     return found
 
 
@@ -205,14 +195,11 @@ SIZES: dict[str, Callable[[list[float]], tuple[float, ...]]] = {
     "capsule": lambda size: (size[0], 2.0 * size[1]),
     "cylinder": lambda size: (size[0], 2.0 * size[1]),
 }
-#: Kinds that neither pinocchio nor coal has.
-NOT_READ = ("hfield", "sdf")
+NOT_READ = ("hfield", "sdf")  # kinds that neither pinocchio nor coal has
 #: Mass [kg] and radius [m] of what stands for a geom, and what does so for a mesh.
 STAND_IN = 1e-9, 0.1
-TETRAHEDRON = Mesh(
-    np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
-    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
-)
+CORNERS = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+TETRAHEDRON = Mesh(np.vstack([np.zeros(3), np.eye(3)]), CORNERS)
 DRAWN = 2  # the last group that is
 
 
@@ -264,14 +251,9 @@ class Geoms:
 
     def _form(self, geom: Any) -> _Form:
         looks = not (geom.contype or geom.conaffinity)
-        return _Form(
-            geom=geom,
-            mesh=self._meshes.get(geom.meshname),
-            name=geom.meshname,
-            kind=self._mujoco.mjtGeom(geom.type).name.removeprefix("mjGEOM_").lower(),
-            collides=not looks,
-            drawn=looks or geom.group <= DRAWN,
-        )
+        kind = self._mujoco.mjtGeom(geom.type).name.removeprefix("mjGEOM_").lower()
+        mesh, drawn = self._meshes.get(geom.meshname), looks or geom.group <= DRAWN
+        return _Form(geom, mesh, geom.meshname, kind, collides=not looks, drawn=drawn)
 
     def _weighs(self, geom: Any) -> bool:
         """Whether a geom contributes to the mass of a moving body."""
@@ -322,33 +304,29 @@ class Geoms:
 
     def unseen(self, model: Any, named: Named) -> tuple[str, ...]:
         """Collision geoms that are not read, a sentence each."""
-        return tuple(
-            f"{named.geoms[row_of(form.geom, model.geom)]}: {why}"
-            for form in self._forms
-            if form.collides and (why := _why_unseen(form, self._files))
-        )
+        collide = ((f.geom, _why_unseen(f, self._files)) for f in self._forms if f.collides)
+        unseen = ((named.geoms[row_of(geom, model.geom)], why) for geom, why in collide if why)
+        return tuple(f"{frame}: {why}" for frame, why in unseen)
 
     def warnings(
         self, model: Any, named: Named, drawn: Sequence[Shape], collide: Sequence[Shape]
     ) -> tuple[str, ...]:
         """What is not drawn as it is, or weighs less than it should."""
-        missing = [
-            self._given[name] or f"{name}, of vertices"
-            for name, file in self._files.items()
-            if file is None or not os.path.isfile(file)
-        ]
+        gone = (k for k, file in self._files.items() if file is None or not os.path.isfile(file))
+        missing = [self._given[name] or f"{name}, of vertices" for name in gone]
         rows = [row_of(form.geom, model.geom) for form in self._light]
-        light = dict.fromkeys(named.geoms[row] for row in rows)
-        seen = {shape.frame for shape in drawn}
+        visible = {shape.frame for shape in drawn}
         there = [shape for shape in collide if shape.mesh is None or os.path.isfile(shape.mesh)]
-        hidden = dict.fromkeys(shape.frame for shape in there if shape.frame not in seen)
+        hidden = (shape.frame for shape in there if shape.frame not in visible)
         found = [*missing_meshes(self._path.name, missing, len(self._files))]
-        if light:
-            words = "lack the mass of meshes that are not read; give <inertial>"
-            found.append(f"{self._path.name}: {len(light)} bodies {words} ({_first(light)})")
-        if hidden:
-            words = "are not drawn as they are, since all their geoms are of groups above 2"
-            found.append(f"{self._path.name}: {len(hidden)} bodies {words} ({_first(hidden)})")
+        for bodies, words in (
+            ((named.geoms[row] for row in rows),
+             "lack the mass of meshes that are not read; give <inertial>"),
+            (hidden, "are not drawn as they are, since all their geoms are of groups above 2"),
+        ):  # fmt: skip
+            if names := list(dict.fromkeys(bodies)):
+                first = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+                found.append(f"{self._path.name}: {len(names)} bodies {words} ({first})")
         return tuple(found)
 
 
@@ -363,8 +341,3 @@ def _why_unseen(form: _Form, files: Mapping[str, Path | None]) -> str:
     if len(set(form.mesh.scale)) > 1 and any(form.mesh.refquat[1:]):
         return f"mesh {form.name}: is turned by refquat and scaled unevenly, which is not read"
     return ""
-
-
-def _first(names: Iterable[str]) -> str:
-    first = list(names)
-    return ", ".join(first[:3]) + (", ..." if len(first) > 3 else "")

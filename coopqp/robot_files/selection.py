@@ -94,13 +94,8 @@ def _some_arms(value: Any) -> Any:
     return value
 
 
-Arms = Annotated[
-    dict[
-        str,
-        Annotated[ArmJoints, BeforeValidator(_arm_or_tip, json_schema_input_type=str | ArmJoints)],
-    ],
-    BeforeValidator(_some_arms),
-]
+_Arm = Annotated[ArmJoints, BeforeValidator(_arm_or_tip, json_schema_input_type=str | ArmJoints)]
+Arms = Annotated[dict[str, _Arm], BeforeValidator(_some_arms)]
 """Arms by name, each its tip's frame or {tip: frame, joints: [...]}; the first is the reference."""
 
 Locked = Annotated[
@@ -128,8 +123,7 @@ class JointLimits:
             raise ValueError(wrong)
 
 
-#: A limit of this size is none; files write 1e10, 1e16 or 3.4e38 for it.
-BEYOND = 1e9
+BEYOND = 1e9  # a limit of this size is none; files write 1e10, 1e16 or 3.4e38 for it
 
 
 @spec
@@ -218,16 +212,14 @@ def _set_limits(
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     lower[lower <= -BEYOND], upper[upper >= BEYOND] = -np.inf, np.inf
     velocity, effort = _or_infinite(model.velocityLimit), _or_infinite(model.effortLimit)
+    arrays = {"lower": lower, "upper": upper, "velocity": velocity, "effort": effort}
     for pattern, limits in joint_limits.items():
         if not fnmatch.filter(description.joint_names, pattern):
             unknown = UnknownNameError("joint", pattern, names, "joint_limits: ")
             raise unknown.at("joint_limits", pattern)
         at = [i for i, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
-        for values, given in (
-            (lower, limits.lower), (upper, limits.upper),
-            (velocity, limits.velocity), (effort, limits.effort),
-        ):  # fmt: skip
-            if given is not None:
+        for key, values in arrays.items():
+            if (given := getattr(limits, key)) is not None:
                 values[at] = given
     for name, low, high in zip(names, lower, upper, strict=True):
         if not low < high:
@@ -255,10 +247,9 @@ def _check_arms(robot: RobotModel) -> None:
             raise InvalidValueError(words).at("arms", name)
         for other, others in ways.items():
             if other != name and set(joints) <= set(others):
-                raise InvalidValueError(
-                    f"arm {name}: all its joints ({', '.join(joints)}) also move arm {other}; "
-                    "an arm needs joints of its own"
-                ).at("arms", name)
+                words = f"all its joints ({', '.join(joints)}) also move arm {other}"
+                words = f"arm {name}: {words}; an arm needs joints of its own"
+                raise InvalidValueError(words).at("arms", name)
 
 
 #: Names and kinds of pinocchio's joints with more than one coordinate of motion.
@@ -274,8 +265,7 @@ KINDS = {
 #: has none.
 FIXED_BASE = "root_joint"
 
-#: Suffix of frames' names for a moment; no name in a file ends so.
-NAMESAKE = "\0namesake"
+NAMESAKE = "\0namesake"  # suffix of frames' names for a moment; no name in a file ends so
 
 
 class _Selection:
@@ -317,10 +307,8 @@ class _Selection:
         require_known("joint", arm.joints or (), self._description.joint_names, f"arm {name}: ")
         for joint in arm.joints or ():
             if joint not in way:
-                raise InvalidValueError(
-                    f"arm {name}: joint {joint} does not move the tip {arm.tip}; "
-                    f"those that do: {', '.join(way) or 'none'}"
-                )
+                words = f"tip {arm.tip}; those that do: {', '.join(way) or 'none'}"
+                raise InvalidValueError(f"arm {name}: joint {joint} does not move the {words}")
         return way if arm.joints is None else arm.joints
 
     def _check_free(self, joint: str) -> None:
@@ -341,7 +329,6 @@ class _Selection:
         return InvalidValueError(f"{self._description.joint(joint)}: {words}")
 
     def still_followers(self) -> list[str]:
-        """Warnings about locked joints that ought to follow one that moves."""
         return [
             f"{self._description.name}: joint {name} follows {follower.leader}, but is kept still"
             for name, follower in self._description.followers.items()

@@ -11,7 +11,7 @@ import math
 import os
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -51,19 +51,21 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     if xml.find("link") is None:
         raise fault(xml, "is not a URDF file: has no <link>")
     impossible = _check(xml)
-    heard: list[str] = []
+    printed: list[str] = []
     try:
-        with stderr_lines(heard):
+        with stderr_lines(printed):
             model = pin.buildModelFromXML(ET.tostring(xml, encoding="unicode"))
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
-        why = heard or [pinocchio_says(error)]
+        why = printed or [pinocchio_says(error)]
         raise InvalidValueError(
-            f"{_told_place(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
+            f"{_place_named(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
         ) from None
     shapes, undrawn = _shapes(xml, "visual", path, package_dirs)
     collide, unread = _shapes(xml, "collision", path, package_dirs)
     missing = [part.get("filename", "") for _, part in undrawn if part.tag == "mesh"]
     meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
+    placed = ((x.get("name", ""), getattr(x, "place", "")) for x in xml.findall("joint"))
+    warnings = [*impossible, *(f"{path.name}: {line}" for line in printed)]
     return Description(
         name=xml.get("name") or path.stem,
         model=model,
@@ -71,16 +73,8 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         shapes=shapes,
         collision_shapes=collide,
         unseen=tuple(_why_unseen(frame, part) for frame, part in unread),
-        places={
-            joint.get("name", ""): place
-            for joint in xml.findall("joint")
-            if (place := getattr(joint, "place", ""))
-        },
-        warnings=(
-            *impossible,
-            *(f"{path.name}: {line}" for line in heard),
-            *missing_meshes(path.name, missing, meshes),
-        ),
+        places={name: place for name, place in placed if place},
+        warnings=(*warnings, *missing_meshes(path.name, missing, meshes)),
     )
 
 
@@ -119,8 +113,7 @@ def _check_known(element: Element, entry: str) -> None:
     for name in element.attrib:
         absent = [other for other in names if other not in element.attrib]
         if name not in names and _is_refused(name, absent, "attributes" in known.lenient):
-            words = _nearest("attribute", name, names)
-            raise fault(element, f"{words}")
+            raise fault(element, _nearest("attribute", name, names))
     for name in known.required.split():
         if not element.get(name):
             raise fault(element, f"needs {name}")
@@ -184,20 +177,6 @@ def _negative_moment(element: Element) -> str:
     return f"{place_of(element)}: a principal moment is {smallest:.3g} kg m2; no body has that"
 
 
-def _check_names(elements: Iterable[Element], kind: str) -> None:
-    taken = set[str]()
-    for element in elements:
-        name = element.get("name")
-        if name is not None:
-            if name in taken:
-                raise fault(element, f"another {kind} has this name already; rename one")
-            taken.add(name)
-
-
-_BOTH = "attributes elements"
-_ONE, _THREE = Numbers(1), Numbers(3)
-_LENGTH, _LIMIT = Numbers(1, "length", positive=True), Numbers(1, "limit")
-_ROUND = Known("name", required="radius length", numbers={"radius": _LENGTH, "length": _LENGTH})
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 #: Geometries that are read, and the attributes of their sizes.
 SIZES = {
@@ -207,42 +186,34 @@ SIZES = {
     "sphere": ("radius",),
     "mesh": ("scale",),
 }
+_BOTH = "attributes elements"
+_ONE, _THREE = Numbers(1), Numbers(3)
+_LENGTH, _LIMIT = Numbers(1, "length", positive=True), Numbers(1, "limit")
+_ROUND = Known("name", required="radius length", numbers={"radius": _LENGTH, "length": _LENGTH})
 KNOWN: dict[str, Known] = {
-    "robot": Known(
-        "name version",
-        {"link": "link", "joint": "joint", "material": "", "gazebo": "", "transmission": ""},
-        lenient=_BOTH,
-    ),
-    "link": Known(
-        "name type",
-        {"inertial": "inertial", "visual": "part", "collision": "part"},
-        required="name",
-        lenient=_BOTH,
-    ),
-    "joint": Known(
-        "name type",
-        {
-            "parent": "end", "child": "end", "calibration": "", "safety_controller": "",
-            **{tag: tag for tag in ("origin", "axis", "limit", "mimic", "dynamics")},
-        },
-        required="name type",
-        lenient=_BOTH,
-    ),
-    "part": Known(
-        "name", {"origin": "origin", "geometry": "geometry", "material": ""}, lenient=_BOTH
-    ),
-    "inertial": Known(
-        "", {"origin": "origin", "mass": "mass", "inertia": "inertia"}, lenient="elements"
-    ),
+    "robot": Known("name version", lenient=_BOTH, inside={
+        "link": "link", "joint": "joint", "material": "", "gazebo": "", "transmission": "",
+    }),
+    "link": Known("name type", required="name", lenient=_BOTH, inside={
+        "inertial": "inertial", "visual": "part", "collision": "part",
+    }),
+    "joint": Known("name type", required="name type", lenient=_BOTH, inside={
+        "parent": "end", "child": "end", "calibration": "", "safety_controller": "",
+        **{tag: tag for tag in ("origin", "axis", "limit", "mimic", "dynamics")},
+    }),
+    "part": Known("name", lenient=_BOTH, inside={
+        "origin": "origin", "geometry": "geometry", "material": "",
+    }),
+    "inertial": Known(lenient="elements", inside={
+        "origin": "origin", "mass": "mass", "inertia": "inertia",
+    }),
     "geometry": Known("name", {kind: kind for kind in SIZES}, lenient=_BOTH),
     "origin": Known(numbers={"xyz": Numbers(3, "length"), "rpy": _THREE}),
     "end": Known("link", required="link"),
     "axis": Known(required="xyz", numbers={"xyz": _THREE}),
-    "limit": Known(
-        required="effort velocity",
-        numbers=dict.fromkeys(("lower", "upper", "effort", "velocity"), _LIMIT),
-        lenient="attributes",
-    ),
+    "limit": Known(required="effort velocity", lenient="attributes", numbers=dict.fromkeys(
+        ("lower", "upper", "effort", "velocity"), _LIMIT,
+    )),
     "mimic": Known("joint", required="joint", numbers={"multiplier": _ONE, "offset": _ONE}),
     "dynamics": Known(numbers={"damping": _ONE, "friction": _ONE}, lenient="attributes"),
     "mass": Known(required="value", numbers={"value": Numbers(1, "mass", positive=True)}),
@@ -251,24 +222,15 @@ KNOWN: dict[str, Known] = {
     "cylinder": _ROUND,
     "capsule": _ROUND,
     "sphere": Known("name", required="radius", numbers={"radius": _LENGTH}),
-    "mesh": Known(
-        "filename", required="filename", numbers={"scale": _THREE}, lenient="attributes"
-    ),
+    "mesh": Known("filename", required="filename", lenient="attributes", numbers={"scale": _THREE}),
 }  # fmt: skip
-#: Rounding error of a principal moment [kg m2].
-ROUNDING = 1e-6
+ROUNDING = 1e-6  # rounding error of a principal moment [kg m2]
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 #: Words of MuJoCo files, and what URDF has for them.
 OTHERWISE = {
-    "hinge": "revolute",
-    "slide": "prismatic",
-    "free": "floating",
-    "body": "link",
-    "geom": "collision",
-    "pos": "xyz",
-    "euler": "rpy",
-    "file": "filename",
-}
+    "hinge": "revolute", "slide": "prismatic", "free": "floating", "body": "link",
+    "geom": "collision", "pos": "xyz", "euler": "rpy", "file": "filename",
+}  # fmt: skip
 
 
 def _check_schema(xml: Element) -> list[str]:
@@ -279,7 +241,7 @@ def _check_schema(xml: Element) -> list[str]:
             raise fault(part, "needs a <geometry> with a shape in it")
     for joint in xml.findall("joint"):
         if (kind := joint.get("type", "")) not in KINDS:
-            raise fault(joint, f"{_nearest('type', kind, KINDS)}", "type")
+            raise fault(joint, _nearest("type", kind, KINDS), "type")
         _check_limit(joint)
     _check_tree(xml)
     names = [joint.get("name", "") for joint in xml.findall("joint")]
@@ -333,32 +295,30 @@ def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
     return end
 
 
-#: Joints between a link and the base; the parser in C++ crashes with some thousands.
-LONGEST = 500
+LONGEST = 500  # joints between a link and the base; the parser in C++ crashes with some thousands
 
 
 def _check_circles(moved_by: Mapping[str, Element], parents: Mapping[str, str]) -> None:
     """Refuse links whose way to the base comes back to them."""
-    joints_to: dict[str, int] = {}
+    joints_to = dict.fromkeys(set(parents.values()) - set(moved_by), 0)
     for first in moved_by:
         way, link = dict[str, None](), first
-        while link in moved_by and link not in joints_to:
+        while link not in joints_to:
             if link in way:
                 words = f"link '{link}' moves itself: the joints from it on go round in a circle"
                 raise fault(moved_by[link], words)
-            way[link] = None
-            link = parents[link]
-        before = joints_to.get(link, 0)
-        joints_to.update((link, before + i) for i, link in enumerate(reversed(way), 1))
+            way[link], link = None, parents[link]
+        for link in reversed(way):
+            joints_to[link] = joints_to[parents[link]] + 1
         if joints_to[first] > LONGEST:
             words = f"more than {LONGEST} joints are between link '{first}' and the base"
             raise fault(moved_by[first], words)
 
 
-def _told_place(xml: Element, words: Sequence[str]) -> str:
+def _place_named(xml: Element, messages: Sequence[str]) -> str:
     """Of the part in brackets, as in "joint [elbow]: limit has no velocity"; else of the whole."""
     named = {part.get("name"): part for tag in ("link", "joint") for part in xml.findall(tag)}
-    for name in re.findall(r"\[(.*?)\]", "; ".join(words)):
+    for name in re.findall(r"\[(.*?)\]", "; ".join(messages)):
         if name in named:
             return place_of(named[name])
     return place_of(xml)
@@ -366,10 +326,16 @@ def _told_place(xml: Element, words: Sequence[str]) -> str:
 
 def _check(xml: Element) -> list[str]:
     """Refuse what no parser should get; returns warnings."""
-    warnings = []
-    _check_names(xml.findall("link"), "link")
-    _check_names(xml.findall("joint"), "joint")
-    for part in (*xml.findall("link"), *xml.findall("joint")):
+    warnings, links, joints = [], xml.findall("link"), xml.findall("joint")
+    for parts in (links, joints):
+        taken = set[str | None]()
+        for part in parts:
+            name = part.get("name")
+            if name in taken:
+                words = f"another {part.tag} has this name already; rename one"
+                raise fault(part, words)
+            taken |= {name} - {None}
+    for part in (*links, *joints):
         for element in part.iter():
             _check_numbers(element, KNOWN.get(element.tag, Known()).numbers)
             if element.tag == "axis" and part.get("type") != "fixed":
@@ -398,8 +364,7 @@ def _shapes(
         frame = link.get("name", "")
         for whole in link.findall(tag):
             part = whole.find("geometry/*")
-            if part is None:
-                continue
+            assert part is not None  # which was checked
             kind: Any = part.tag
             file = part.get("filename", "")
             mesh = find_mesh(file, path, package_dirs) if kind == "mesh" else None

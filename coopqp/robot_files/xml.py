@@ -19,8 +19,7 @@ from coopqp.base.reading import read_bytes
 MAX_BYTES = 32 << 20  # of a file
 MAX_ELEMENTS = 100_000  # in a file
 MAX_DEPTH = 150  # elements inside elements
-#: Similarity from which one name is another misspelt: "axes" and "axis" have 0.75.
-ALIKE = 0.75
+ALIKE = 0.75  # similarity from which one name is another misspelt: "axes" and "axis" have 0.75
 
 
 class Element(ET.Element):
@@ -37,9 +36,9 @@ def place_of(element: ET.Element) -> str:
     return f"{place}: {tag}" if place else tag
 
 
-def fault(element: ET.Element, words: str, where: str = "") -> InvalidValueError:
+def fault(element: ET.Element, message: str, where: str = "") -> InvalidValueError:
     """What is wrong with an element, ``where`` in it, such as an attribute."""
-    return InvalidValueError(f"{place_of(element)}{where and f' {where}'}: {words}")
+    return InvalidValueError(f"{place_of(element)}{where and f' {where}'}: {message}")
 
 
 def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False) -> ET.Element:
@@ -55,9 +54,8 @@ def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False
         raise InvalidValueError(str(error)) from None
     element = _Tree(path, kind, texts=texts).parsed(content)
     if element.tag not in roots:
-        raise InvalidValueError(
-            f"{path}:1: is not a {kind} file: starts with <{element.tag}>, needs <{roots[0]}>"
-        )
+        words = f"starts with <{element.tag}>, needs <{roots[0]}>"
+        raise InvalidValueError(f"{path}:1: is not a {kind} file: {words}")
     return element
 
 
@@ -74,7 +72,7 @@ class _Tree:
         self._parser.StartDoctypeDeclHandler = self._doctype
         self._parser.buffer_text = True
         if texts:
-            self._parser.CharacterDataHandler = self._text
+            self._parser.CharacterDataHandler = lambda text: self._texts[-1].append(text)
 
     def parsed(self, content: bytes) -> Element:
         try:
@@ -90,9 +88,8 @@ class _Tree:
         return self._root
 
     def _fault(self, message: str, line: int | None = None) -> InvalidValueError:
-        return InvalidValueError(
-            f"{self._path}:{line or self._parser.CurrentLineNumber}: {message}"
-        )
+        line = line or self._parser.CurrentLineNumber
+        return InvalidValueError(f"{self._path}:{line}: {message}")
 
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         element = Element(tag, attributes)
@@ -112,9 +109,6 @@ class _Tree:
     def _end(self, tag: str) -> None:
         self._open.pop().text = "".join(self._texts.pop())
 
-    def _text(self, text: str) -> None:
-        self._texts[-1].append(text)
-
     def _doctype(self, *_: Any) -> None:
         raise self._fault("has a DOCTYPE, which is not read; take it out")
 
@@ -129,23 +123,20 @@ def missing_meshes(name: str, missing: Sequence[str], count: int) -> tuple[str, 
     if not missing:
         return ()
     shown = ", ".join(missing[:2]) + (", ..." if len(missing) > 2 else "")
-    return (
-        f"{name}: {len(missing)} of {count} meshes cannot be found ({shown}); "
-        "links left without geometry are drawn as capsules",
-    )
+    gone = f"{len(missing)} of {count} meshes cannot be found ({shown})"
+    return (f"{name}: {gone}; links left without geometry are drawn as capsules",)
 
 
 def pinocchio_says(error: Exception) -> str:
     """What went wrong, without pinocchio's line numbers."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    told = [
-        line for line in lines if not line.startswith(("From file:", "in function:", "at line:"))
-    ]
-    return " ".join(told).removeprefix("message: ") or type(error).__name__
+    lines = filter(None, map(str.strip, str(error).splitlines()))
+    where = ("From file:", "in function:", "at line:")
+    words = " ".join(line for line in lines if not line.startswith(where))
+    return words.removeprefix("message: ") or type(error).__name__
 
 
 @contextmanager
-def stderr_lines(heard: list[str]) -> Iterator[None]:
+def stderr_lines(printed: list[str]) -> Iterator[None]:
     """Collect errors and warnings that parsers in C and C++ would print."""
     with tempfile.TemporaryFile() as file:
         kept = os.dup(2)
@@ -159,4 +150,4 @@ def stderr_lines(heard: list[str]) -> Iterator[None]:
             for line in file.read().decode("utf-8", "replace").splitlines():
                 word, _, text = line.partition(":")
                 if word in ("Error", "Warning"):
-                    heard.append(text.strip())
+                    printed.append(text.strip())

@@ -24,7 +24,7 @@ from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.notes import Why, note_of
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.phases import OBJECT_POSE, Gripper
-from coopqp.recordings.messages import AT, BROKEN, Remark, level_of
+from coopqp.recordings.messages import AT, BROKEN, NS, Remark, level_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POSE as KIND_OF_POSE
 from coopqp.signal import Kind
@@ -34,10 +34,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
 TWIST = "geometry_msgs/msg/TwistStamped"
 Commanded = Literal["velocity", "position", "trajectory"]
-#: Messages that wait for a tick at most; older ones are dropped.
-QUEUE_SIZE = 1000
-#: Nanoseconds in a second.
-NS = 1_000_000_000
+QUEUE_SIZE = 1000  # messages that wait for a tick at most; older ones are dropped
 
 
 @spec
@@ -116,8 +113,7 @@ def joints_of(
 
 def kinds_of(scenario: Scenario) -> dict[str, Kind]:
     """Of the inputs that messages can give, the object's place among them where it may stand."""
-    followed = scenario.followed()
-    kinds = {name: kind for name, kind in followed.items() if name in scenario.inputs}
+    kinds = {name: kind for name, kind in scenario.followed().items() if name in scenario.inputs}
     return kinds | ({OBJECT_POSE: KIND_OF_POSE} if scenario.stands else {})
 
 
@@ -176,7 +172,6 @@ class Clocks:
         self.compare()
 
     def compare(self) -> None:
-        """Read both clocks and update the offset."""
         before, there, after = self._own(), self._stamping() / NS, self._own()
         self._offset = min(max(self._offset, before - there), after - there)
 
@@ -263,7 +258,7 @@ class Bridge:
         self._refused: dict[str, str] = {}
         self._distance, self._is_new = np.zeros(loop.problem.chain.n), False
         self._causes: dict[Status, None] = {}
-        self._told: tuple[str | Why, ...] = ()
+        self._note: tuple[str | Why, ...] = ()
         self._reported_at = -np.inf
 
     def take(self, name: str, message: Any) -> None:
@@ -308,15 +303,13 @@ class Bridge:
         for name, indices in self._joints.ordered.items():
             self._transport.command(name, q[indices].tolist(), velocity[indices].tolist())
         if settings.object_frame:
-            turned = pin.Quaternion(state.R_WO).coeffs()
-            self._transport.place(state.p_WO.tolist(), turned.tolist())
+            self._transport.place(state.p_WO.tolist(), pin.Quaternion(state.R_WO).coeffs().tolist())
         self._causes |= dict.fromkeys(command.causes)
-        self._told = command.messages or self._told
+        self._note = command.messages or self._note
         if self._loop.now - self._reported_at >= settings.diagnostics_every:
             self.say()
 
     def grip(self, grippers: Mapping[str, Gripper]) -> None:
-        """Send to each arm's gripper whether it shall be closed."""
         for arm, gripper in grippers.items():
             self._transport.grip(arm, gripper == "close")
 
@@ -326,10 +319,9 @@ class Bridge:
         silence = self._states.silence(self._reported_at) or self._states.wrong
         refused = self._refused.pop("", "")
         remarks = [self._loop_remark(why), *(_limits(loop) if loop.begun else ())]
-        self._causes, self._told = {}, ()
+        self._causes, self._note = {}, ()
         words = "; ".join(filter(None, (silence, refused)))
-        level = 2 if silence else int(bool(refused))
-        remarks.append(Remark("joint states", level, words, {}))
+        remarks.append(Remark("joint states", 2 if silence else int(bool(refused)), words, {}))
         stale = loop.state.inputs.stale
         for name in self._kinds:
             words = self._refused.pop(name, "") or ("is stale" if name in stale else "")
@@ -343,7 +335,7 @@ class Bridge:
             causes = [cause for cause in causes if cause is not Status.OPTIMAL]
         levels = [2 if cause in STANDS else level_of(cause) for cause in causes]
         stopped = why or loop.stopped
-        texts = [*(cause.value for cause in causes), note_of(self._told), stopped]
+        texts = [*(cause.value for cause in causes), note_of(self._note), stopped]
         texts = [x for i, x in enumerate(texts) if not any(x in other for other in texts[i + 1 :])]
         values = {
             "status": written(causes) if causes else "",
@@ -385,9 +377,7 @@ def _limit(owner: str, margins: Mapping[Row, float]) -> Remark:
     reached = {row: m < BROKEN for row, m in margins.items() if m <= AT}
     texts = [f"{'beyond' if broken else 'at'} {row.label}" for row, broken in reached.items()]
     units = dict.fromkeys(row.unit for row in margins)
-    nearest = {
-        u: min((row for row in margins if row.unit == u), key=margins.__getitem__) for u in units
-    }
+    nearest = {u: min((r for r in margins if r.unit == u), key=margins.__getitem__) for u in units}
     values = {f"left [{unit}]": f"{margins[row]:.4g}" for unit, row in nearest.items()}
     values |= {f"nearest [{unit}]": row.label for unit, row in nearest.items()}
     level = max((1 + broken for broken in reached.values()), default=0)

@@ -11,10 +11,9 @@ from typing import Any
 from coopqp.base.errors import CoopqpError, InvalidValueError, MissingDependencyError
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.real_time import Ended, real_time
-from coopqp.recordings.messages import Remark
+from coopqp.recordings.messages import NS, Remark
 from coopqp.ros.bridge import (
     JOINT_STATE,
-    NS,
     Bridge,
     Joints,
     RosSettings,
@@ -43,20 +42,15 @@ class Topics:
         self.simulated = bool(node.get_parameter("use_sim_time").value)
         trajectories = settings.command == "trajectory"
         kind, topic = (TRAJECTORY, "joint_trajectory") if trajectories else (NUMBERS, "commands")
-        self._commands = {
-            name: node.create_publisher(_type(kind), f"/{name}/{topic}", 1)
-            for name in settings.controllers
-        }
+        publisher, message = node.create_publisher, _type(kind)
+        self._commands = {x: publisher(message, f"/{x}/{topic}", 1) for x in settings.controllers}
         self._diagnostics = node.create_publisher(_type(DIAGNOSTICS), "/diagnostics", 10)
         self._grippers: dict[str, Any] = {}
         places = settings.object_frame
         self._tf = node.create_publisher(_type(TRANSFORMS), "/tf", 10) if places else None
 
     def subscribe(self, kind: str, topic: str, take: Any) -> None:
-        """Subscribe, with the QoS of sensors: lost messages are not sent again.
-
-        CoopqpError: no topic can be called so.
-        """
+        """Subscribe; lost messages are not sent again. CoopqpError: no topic can be called so."""
         from rclpy.qos import qos_profile_sensor_data
 
         try:
@@ -69,10 +63,6 @@ class Topics:
         """By the clock of stamps [ns]."""
         return int(self._node.get_clock().now().nanoseconds)
 
-    def seconds(self) -> float:
-        """The same in seconds."""
-        return 1e-9 * self.now()
-
     def command(self, controller: str, q: list[float], v: list[float]) -> None:
         """Send positions at the end of the period [rad, m], or velocities until then."""
         if self._settings.command == "trajectory":
@@ -80,8 +70,7 @@ class Topics:
             point = _type(POINT)(positions=q, velocities=v)
             after = point.time_from_start
             after.sec, after.nanosec = divmod(round(self._dt * NS), NS)
-            names = self._joints.orders[controller]
-            message = _type(TRAJECTORY)(joint_names=names, points=[point])
+            message = _type(TRAJECTORY)(joint_names=self._joints.orders[controller], points=[point])
         else:
             message = _type(NUMBERS)(data=v if self._settings.command == "velocity" else q)
         self._commands[controller].publish(message)
@@ -140,7 +129,7 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         kinds = kinds_of(scenario)
         topics = Topics(node, settings, joints, scenario.dt)
         if topics.simulated:
-            options["clock"] = topics.seconds
+            options["clock"] = lambda: 1e-9 * topics.now()
         loop = OnlineLoop(scenario, settings.law, out=settings.out or None, **options)
         if loop.by_torques:
             words = "commands torques; ros2_control is sent velocities or positions, such as qp's"
@@ -207,7 +196,6 @@ def _node(arguments: Sequence[str]) -> Iterator[Any]:
 
 @contextmanager
 def _received(node: Any) -> Iterator[None]:
-    """Let messages be received in a thread."""
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     executor = SingleThreadedExecutor()
@@ -254,6 +242,6 @@ def _status(remark: Remark) -> Any:
     return _type("diagnostic_msgs/msg/DiagnosticStatus")(
         level=bytes([remark.level]),
         name=f"{NAME}: {remark.about}",
-        message=remark.words,
+        message=remark.message,
         values=[pair(key=key, value=value) for key, value in remark.values.items()],
     )

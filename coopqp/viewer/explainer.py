@@ -26,8 +26,7 @@ from coopqp.viewer.messages import Explanation, Snapshot, WayRound
 from coopqp.viewer.steering import at_targets, with_dials
 from coopqp.viewer.worker import Peer
 
-#: How long a way is looked for [s].
-SECONDS = 5.0
+SECONDS = 5.0  # how long a way is looked for [s]
 #: How far from where the arms are a way may begin, first to last [rad, m], and tries for each.
 NEAR, TRIES = (0.0, 0.001, 0.003, 0.01, 0.03), 64
 
@@ -50,8 +49,6 @@ def problem_of(scenario: Scenario, snapshot: Snapshot) -> ControlProblem:
 
 
 class _Explainer:
-    """Explains the controller of a snapshot in its phase."""
-
     def __init__(self, scenario: Scenario, snapshot: Snapshot) -> None:
         self._name, self._problem = snapshot.law, problem_of(scenario, snapshot)
         controller = controller_of(scenario, self._name)
@@ -86,10 +83,10 @@ class _Explainer:
 def serve_ways(peer: Peer, scenario: Scenario) -> None:
     """Answer until the player ends."""
     for snapshot in peer.messages():
-        peer.send(found(scenario, snapshot))
+        peer.send(way_round(scenario, snapshot))
 
 
-def found(scenario: Scenario, snapshot: Snapshot) -> WayRound:
+def way_round(scenario: Scenario, snapshot: Snapshot) -> WayRound:
     """A way from where the arms are to where the tasks are met with their inputs at the targets."""
     try:
         problem = problem_of(scenario, snapshot)

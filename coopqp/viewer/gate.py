@@ -25,8 +25,8 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 
-MOST_BYTES = 1 << 20  # of a message from a browser
-MOST_TEXT = 1000  # characters of a value
+MAX_BYTES = 1 << 20  # of a message from a browser
+MAX_TEXT = 1000  # characters of a value
 FARTHEST = 1e9  # no number of a page is larger
 HEARD = frozenset({
     "ViewerCameraMessage", "GuiUpdateMessage", "SceneNodeClickMessage", "SceneNodeDragMessage",
@@ -98,10 +98,10 @@ def guard(host: str, allowed: Sequence[str]) -> list[bool]:
         logging.getLogger(noisy).setLevel(logging.CRITICAL + 1)
     warnings.simplefilter("ignore")
     np.seterr(all="ignore")
-    own, asked, serve = own_names(host), list[bool](), server.serve
+    own, guarded, serve = own_names(host), list[bool](), server.serve
 
-    def guarded(*args: Any, process_request: Any = None, **options: Any) -> Any:
-        asked.append(True)
+    def guarded_serve(*args: Any, process_request: Any = None, **options: Any) -> Any:
+        guarded.append(True)
 
         def enter(connection: Any, request: Any) -> Any:
             find = request.headers.get_all
@@ -109,7 +109,7 @@ def guard(host: str, allowed: Sequence[str]) -> list[bool]:
                 return process_request(connection, request) if process_request else None
             return connection.respond(http.HTTPStatus.FORBIDDEN, REFUSED)
 
-        return serve(*args, process_request=enter, **{**options, "max_size": MOST_BYTES})
+        return serve(*args, process_request=enter, **{**options, "max_size": MAX_BYTES})
 
     read, nothing = messages.Message.deserialize, messages.GuiUpdateMessage("", {})
 
@@ -120,19 +120,19 @@ def guard(host: str, allowed: Sequence[str]) -> list[bool]:
                 return found
         return nothing
 
-    server.serve = guarded  # type: ignore[assignment,misc]
+    server.serve = guarded_serve  # type: ignore[assignment,misc]
     messages.Message.deserialize = staticmethod(hear)
-    return asked
+    return guarded
 
 
 def is_sound(message: Any) -> bool:
     """Whether a message has the types that its class declares, and no more than a page says."""
     import msgspec
 
-    said = dataclasses.asdict(message)
-    msgspec.convert(said, type(message))  # raises where it does not fit
+    content = dataclasses.asdict(message)
+    msgspec.convert(content, type(message))  # raises where it does not fit
     # Other updates would change what all browsers see.
-    return set(said.get("updates", ())) <= {"value"} and _is_plain(said)
+    return set(content.get("updates", ())) <= {"value"} and _is_plain(content)
 
 
 def _is_plain(x: Any) -> bool:
@@ -144,4 +144,4 @@ def _is_plain(x: Any) -> bool:
         return x is None
     with suppress(ValueError):  # of which viser would make a number
         return abs(float(x)) < FARTHEST
-    return len(x) < MOST_TEXT
+    return len(x) < MAX_TEXT

@@ -73,7 +73,7 @@ class ControllerFrame:
     arrows: Array  # start and end of the hands' forces, shape (., 2, 3) [m]
     weight: Array  # of the object's
     reached: bool
-    words: str  # distance to the goals
+    errors: str  # distance to the goals
     broken: str  # what is violated, such as a joint limit, or empty
 
 

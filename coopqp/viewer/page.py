@@ -26,6 +26,7 @@ MAX_LIMITS = 4  # that are listed by name
 FAREWELL = 0.2  # for the last messages to go out [s]
 
 Rgb = tuple[int, int, int]
+Send = Callable[[Action], None]
 
 LINK: Rgb = (214, 218, 222)
 NEAR: Rgb = (240, 228, 66)  # on the way to a limit
@@ -59,10 +60,10 @@ def serve(peer: Peer, setup: PageSetup, host: str, port: int, allowed: Sequence[
     """Serve the page until the player ends; to pages of ``allowed`` origins, too."""
     import viser
 
-    asked = guard(host, allowed)
+    guarded = guard(host, allowed)
     server = viser.ViserServer(host=host, port=port, label="coopqp play", verbose=False)
     used = server.get_port()
-    if not asked:
+    if not guarded:
         peer.send(f"viser {viser.__version__} cannot be kept from foreign pages; install 1.1")
         return
     if port and used != port:  # somebody was faster
@@ -104,11 +105,7 @@ class _Panel:
     """The sentence, buttons, controllers, dials and the recording."""
 
     def __init__(
-        self,
-        gui: Any,
-        setup: PageSetup,
-        send: Callable[[Action], None],
-        arrange: Callable[[str, int], None],
+        self, gui: Any, setup: PageSetup, send: Send, arrange: Callable[[str, int], None]
     ) -> None:
         self._gui, self._setup, self._send, self._arrange = gui, setup, send, arrange
         gui.add_html(_head(setup))
@@ -151,8 +148,6 @@ class _Panel:
         self._status.content = _box("ended")
 
     def _on(self, register: Callable[[Any], Any], action: Callable[[], Action]) -> None:
-        """Send an action whenever somebody uses a control."""
-
         async def act(event: Any) -> None:
             self._send(action())
 
@@ -229,7 +224,7 @@ def _table(frame: Frame, setup: PageSetup) -> str:
         mark = f'<span style="color:{color}">&#9632;</span>'
         name = f"<b>{escape(law)}</b>" if i == frame.main else escape(law)
         wrong = f'<div style="color:{TONES["broken"]}">{escape(drawn.broken)}</div>'
-        words = escape(drawn.words) + (wrong if drawn.broken else "")
+        words = escape(drawn.errors) + (wrong if drawn.broken else "")
         rows.append(f'<div style="margin-bottom:0.25em">{mark} {name}: {words}</div>')
     return _box("".join(rows))
 
@@ -294,20 +289,15 @@ def css(color: Rgb) -> str:
 
 def view(setup: PageSetup) -> tuple[Array, Array]:
     """Target and position of the camera at first, beside the longer horizontal edge, (3,) [m]."""
-    aside = BESIDE if _longer_along_x(setup) else BEFORE
-    middle = 0.5 * (setup.low + setup.high)
-    return middle, middle + float(np.linalg.norm(setup.high - setup.low)) * np.array(aside)
-
-
-def _longer_along_x(setup: PageSetup) -> bool:
-    x, y, _ = setup.high - setup.low
-    return bool(x > y)
+    size = setup.high - setup.low
+    middle, aside = 0.5 * (setup.low + setup.high), BESIDE if size[0] > size[1] else BEFORE
+    return middle, middle + float(np.linalg.norm(size)) * np.array(aside)
 
 
 class Scene:
     """The scene of a page."""
 
-    def __init__(self, server: Any, setup: PageSetup, send: Callable[[Action], None]) -> None:
+    def __init__(self, server: Any, setup: PageSetup, send: Send) -> None:
         self._setup, self._send, self._server, self._scene = setup, send, server, server.scene
         self._size = max(setup.size)
         low, (middle, eye) = setup.low, view(setup)
@@ -325,10 +315,8 @@ class Scene:
             cell_color=(232, 234, 237), section_color=(214, 217, 221), fade_distance=6.0 * wide,
             shadow_opacity=0.0, position=(middle[0], middle[1], low[2]),
         )  # fmt: skip
-        self._drawn = [
-            _Controller(server, setup, (f"/law{i}", rgb(color)), send)
-            for i, color in enumerate(setup.laws.values())
-        ]
+        laws = [(f"/law{i}", rgb(color)) for i, color in enumerate(setup.laws.values())]
+        self._drawn = [_Controller(server, setup, law, send) for law in laws]
         self._ghost = _Controller(server, setup, ("/ghost", GOAL), send)
         self._gizmos = [self._gizmo(i) for i in range(len(setup.gizmos))]
         self._dragged = [0.0] * len(setup.gizmos)
@@ -338,15 +326,13 @@ class Scene:
 
     def arrange(self, how: str, main: int) -> None:
         """Choose what is visible: one, overlaid or apart; the main controller alone with "one"."""
-        across = np.array([1.0, 0.0, 0.0] if _longer_along_x(self._setup) else [0.0, -1.0, 0.0])
-        width = SPACED * float(np.abs(across) @ (self._setup.high - self._setup.low))
+        size = self._setup.high - self._setup.low
+        across = np.array([1.0, 0.0, 0.0] if size[0] > size[1] else [0.0, -1.0, 0.0])
+        width = SPACED * float(np.abs(across) @ size)
         for i, drawn in enumerate(self._drawn):
-            drawn.place(
-                shown=how != "one" or i == main,
-                ghost=how == "overlaid" and i != main,
-                shift=width * (i - main) * across if how == "apart" else np.zeros(3),
-                draggable=i == main,
-            )
+            shift = width * (i - main) * across if how == "apart" else np.zeros(3)
+            shown, ghost = how != "one" or i == main, how == "overlaid" and i != main
+            drawn.place(shown=shown, ghost=ghost, shift=shift, draggable=i == main)
         if how == "apart":  # the camera steps back
             middle = self._middle + width * (0.5 * (len(self._drawn) - 1) - main) * across
             for client in self._server.get_clients().values():
@@ -393,21 +379,13 @@ class Scene:
 
 
 class _Controller:
-    """What is drawn of one controller."""
-
-    def __init__(
-        self, server: Any, setup: PageSetup, drawn: tuple[str, Rgb], send: Callable[[Action], None]
-    ) -> None:
+    def __init__(self, server: Any, setup: PageSetup, drawn: tuple[str, Rgb], send: Send) -> None:
         scene, (name, self._color) = server.scene, drawn
         self._bodies = setup.bodies
         self._send, self._root = send, scene.add_frame(name, show_axes=False)
         look: Any = {"color": LINK, "side": "double", "flat_shading": True}
-        self._links = [
-            scene.add_mesh_simple(
-                f"{name}/link{k}", body.surface.vertices, body.surface.corners, **look
-            )
-            for k, body in enumerate(setup.bodies)
-        ]
+        add, surfaces = scene.add_mesh_simple, enumerate(body.surface for body in setup.bodies)
+        self._links = [add(f"{name}/link{k}", s.vertices, s.corners, **look) for k, s in surfaces]
         self._held = scene.add_box(f"{name}/object", color=self._color, dimensions=setup.size)
         size = max(setup.size)
         self._arrows, self._weight = (
@@ -437,15 +415,13 @@ class _Controller:
     def show(self, drawn: ControllerFrame | None) -> None:
         """Draw it as a ghost, or not at all."""
         if self._shown != (drawn is not None):
-            nothing = np.zeros(3)
-            self.place(shown=drawn is not None, ghost=True, shift=nothing, draggable=False)
+            self.place(shown=drawn is not None, ghost=True, shift=np.zeros(3), draggable=False)
             for body, node in zip(self._bodies, self._links, strict=True):
                 node.visible = body.joint > 0
-        if drawn is not None:
-            self.draw(drawn)
+        self.draw(drawn)
 
-    def draw(self, drawn: ControllerFrame) -> None:
-        if not self._shown:
+    def draw(self, drawn: ControllerFrame | None) -> None:
+        if not self._shown or drawn is None:
             return
         _move(self._held, drawn.held)
         for k, (body, node) in enumerate(zip(self._bodies, self._links, strict=True)):

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from coopqp.assessment.thresholds import AT_LIMIT, TOO_FAST, closed, matters, within
 from coopqp.base.spec import Array
+from coopqp.execution.instants import arm_points
 from coopqp.model.marker import SolidMarker, marks_of
 from coopqp.model.state import State
 from coopqp.report.scene.bodies import Body, moved, robot_bodies, solid_body
@@ -51,16 +52,12 @@ def space(scenario: Scenario, bodies: Sequence[Body]) -> tuple[Array, Array]:
 def drawn(controller: SimulatedController, bodies: Sequence[Body]) -> ControllerFrame:
     """A controller at its last tick."""
     state = controller.plant.truth(controller.state)
-    reached, words = _goal_errors(controller, state)
+    reached, errors = _goal_errors(controller, state)
     arrows, weight, squeeze = _forces(controller, state)
-    return replace(
-        still(state, bodies),
-        arrows=arrows,
-        weight=weight,
-        reached=reached,
-        words=", ".join(filter(None, (words, squeeze))),
-        broken=_broken(controller, state),
-    )
+    frame, broken = still(state, bodies), _broken(controller, state)
+    errors = ", ".join(filter(None, (errors, squeeze)))
+    frame = replace(frame, arrows=arrows, weight=weight)
+    return replace(frame, reached=reached, errors=errors, broken=broken)
 
 
 def still(state: State, bodies: Sequence[Body]) -> ControllerFrame:
@@ -164,12 +161,8 @@ def _forces(controller: SimulatedController, state: State) -> tuple[Array, Array
     longest = max(float(np.linalg.norm(forces, axis=1).max()), down, MIN_FORCE)
     size = max(controller.run.scenario.held.size)
     scale = ARROW * size / longest
-    robot, places = controller.run.scenario.chain.robot, []
-    for arm in robot.arms:
-        frame = robot.model.frames[robot.model.getFrameId(arm.tip)]
-        joint = state.chain.model.getJointId(robot.model.names[frame.parentJoint])
-        places.append(state.joint_pose(joint).act(frame.placement.translation))
-    hands = np.array(places)
+    points_of = arm_points(state.chain, state.q[None])
+    hands = np.array([points_of[arm.name][0, -1] for arm in state.chain.robot.arms])
     hands[:, 2] += ABOVE * size
     below = state.p_WO - [0.0, 0.0, BELOW * size]
     arrows = np.stack([hands - scale * forces, hands], axis=1)

@@ -5,6 +5,7 @@ import importlib.util
 import socket
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
@@ -75,13 +76,11 @@ def play(
 
 
 def _address(server: Worker, host: str) -> str:
-    try:
+    with suppress(EOFError):
         for message in server.received(PATIENCE):
             if isinstance(message, str):
                 raise CoopqpError(message)
             return f"http://{f'[{host}]' if ':' in host else host}:{message}"
-    except EOFError:
-        pass
     raise InternalError("the page did not open; see what is printed above")
 
 

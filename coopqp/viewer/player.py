@@ -25,10 +25,8 @@ from coopqp.viewer.simulated_controller import SimulatedController
 from coopqp.viewer.steering import Handle, Recording, dials_of, handles, with_dials, with_inputs
 
 SLOWEST, FASTEST = 0.05, 4.0
-#: Range of the slider of a force whose input has no bounds [N, N m].
-MAX_FORCE = 100.0
-#: Arms that are blocked and slower are stuck [rad/s, m/s].
-STUCK = 0.02
+MAX_FORCE = 100.0  # range of the slider of a force whose input has no bounds [N, N m]
+STUCK = 0.02  # arms that are blocked and slower are stuck [rad/s, m/s]
 #: How far a ghost goes between two frames [s], and ticks that it stays at the end.
 GHOST_STEP, GHOST_RESTS = 1.0 / 30.0, 50
 ENDED = "explanations have ended with their process; begin coopqp play anew to have them"
@@ -66,7 +64,7 @@ class Player:
         self.recording = Recording(self._read, self._steered, self._names, self._values)
         self.explanation, self._changed, self.note = messages.Explanation(), False, ""
         self.way_round: messages.WayRound | None = None  # where the arms are stuck, if known
-        self._asked: object = None
+        self._planned_for: object = None  # the goals of the last search for a way round
         self._ghost = 0
         self.tick()
 
@@ -180,11 +178,10 @@ class Player:
         if not self.explanation.blocked or controller.follows or not controller.at_targets:
             return False
         slow = np.abs(controller.state.v).max(initial=0.0) < STUCK
-        return bool(slow) and self._asked != self._goals()
+        return bool(slow) and self._planned_for != self._goals()
 
     def ask_way(self) -> messages.Snapshot:
-        """The state from which a way round is looked for."""
-        self._asked, self.way_round = self._goals(), None
+        self._planned_for, self.way_round = self._goals(), None
         return self.snapshot()
 
     def _goals(self) -> object:
@@ -195,8 +192,8 @@ class Player:
 
     def _offered(self) -> Way | None:
         """The way round that can be followed now."""
-        if self._controller.follows or self._asked != self._goals():
-            self._asked, self.way_round = None, None
+        if self._controller.follows or self._planned_for != self._goals():
+            self._planned_for, self.way_round = None, None
         return self.way_round.way if self.way_round else None
 
     def _follow(self) -> None:
@@ -255,9 +252,8 @@ class Player:
                 now = float(channel.value[i])
                 low, high = self._range(name, channel.kind, i)
                 low, high = min(low, now), max(high, now)
-                knobs.append(
-                    messages.Dial((name, i), name, column, low, high, (high - low) / 200.0, now)
-                )
+                step = (high - low) / 200.0
+                knobs.append(messages.Dial((name, i), name, column, low, high, step, now))
         return knobs
 
     def _range(self, name: str, kind: Kind, i: int) -> tuple[float, float]:
@@ -281,19 +277,17 @@ class Player:
         if action.what == "drag" and isinstance(which, int) and which < len(self._handles):
             self._send(self._handles[which], value)
         elif action.what == "carry" and len(value) == 3:
-            gizmos = ((handle, handle.gizmo) for handle in self._handles)
-            movable = (h for h, g in gizmos if g.phase == controller.run.index and g.moves)
-            if handle := next(movable, None):
+            now = (h for h in self._handles if h.gizmo.phase == controller.run.index)
+            if handle := next((h for h in now if h.gizmo.moves), None):
                 self._send(handle, handle.carried(value, targets, controller.state).tolist())
         elif action.what == "dial" and which in self._dials and value:
             dial = self._dials[which]
             self._values[dial.key] = float(np.clip(value[0], dial.low, dial.high))
             self._changed = True
         elif action.what == "knob" and value:
-            for name, column in (
-                k.key for k in self._knobs if k.key == which and k.group in targets
-            ):
-                self._hands.setdefault(name, targets[name].tolist())[column] = value[0]
+            for name, column in (k.key for k in self._knobs if k.key == which):
+                if name in targets:
+                    self._hands.setdefault(name, targets[name].tolist())[column] = value[0]
 
     def _send(self, handle: Handle, pose: Sequence[float]) -> None:
         if len(pose) == 7 and 0.5 < np.linalg.norm(pose[3:]) < 2.0:
@@ -315,35 +309,33 @@ class Player:
 
     def _outlines(self, controller: SimulatedController, gizmos: Sequence[Array | None]) -> Array:
         """The tasks' markers, and lines from the object to what can be dragged."""
-        ways = [
-            np.stack([controller.state.point(handle.point), pose[:3]])[None]
-            for handle, pose in zip(self._handles, gizmos, strict=True)
-            if pose is not None and handle.gizmo.moves
-        ]
+        pairs = zip(self._handles, gizmos, strict=True)
+        movable = [(h.point, X[:3]) for h, X in pairs if X is not None and h.gizmo.moves]
+        ways = [np.stack([controller.state.point(point), goal])[None] for point, goal in movable]
         return np.concatenate([picture.outlines(controller, self._place), *ways])
 
     def _verdict(
         self, controller: SimulatedController, drawn: messages.ControllerFrame
     ) -> tuple[messages.Tone, str]:
         if drawn.broken:
-            return "broken", _sentence(drawn.broken, drawn.words)
+            return "broken", _sentence(drawn.broken, drawn.errors)
         if stale := controller.state.inputs.stale:
             dragged = {field.name for field in self._steered}
             how = "drag it or turn it" if dragged & set(stale) else "move its sliders"
             return "waiting", _sentence(f"nothing arrives at {', '.join(stale)}; {how}")
         if drawn.reached and controller.at_targets:
-            return "reached", _sentence("at the goal", drawn.words)
+            return "reached", _sentence("at the goal", drawn.errors)
         if controller.follows:
-            return "moving", _sentence("on the way round", drawn.words)
+            return "moving", _sentence("on the way round", drawn.errors)
         if self.explanation.blocked:
-            way = "looking for a way round" if self._asked else ""
+            way = "looking for a way round" if self._planned_for else ""
             way = self.way_round.sentence if self.way_round else way
             return "blocked", _sentence(self.explanation.sentence, way)
         if not self.has_explainer:
-            return "waiting", _sentence("not at the goal", drawn.words, ENDED)
+            return "waiting", _sentence("not at the goal", drawn.errors, ENDED)
         if not self.playing:
-            return "waiting", _sentence("paused", drawn.words)
-        return "moving", _sentence("on its way", drawn.words)
+            return "waiting", _sentence("paused", drawn.errors)
+        return "moving", _sentence("on its way", drawn.errors)
 
 
 def _sentence(*parts: str) -> str:

@@ -76,7 +76,6 @@ class SimulatedController:
 
     @property
     def at_targets(self) -> bool:
-        """Whether all inputs have arrived at their targets."""
         channels = self.feed.inputs.channels.values()
         return all(np.abs(c.value - c.target).max(initial=0.0) < ARRIVED for c in channels)
 

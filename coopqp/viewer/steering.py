@@ -54,8 +54,7 @@ KAPPA = "kappa"
 SQUEEZE = "squeeze"
 #: Least upper ends of sliders; twice a scenario's value where that is more.
 MAX_GAIN, MAX_WEIGHT, MAX_PRIORITY = 20.0, 10.0, 3
-#: Smallest gain [1/s], and steps of a slider.
-MIN_GAIN, STEPS = 0.1, 200
+MIN_GAIN, STEPS = 0.1, 200  # smallest gain [1/s], and steps of a slider
 
 
 @dataclass(frozen=True)
@@ -118,10 +117,9 @@ def input_limits(scenario: Scenario) -> dict[str, Any]:
     limits: dict[str, Any] = {}
     usual = MotionLimits()
     for limit in (limit for limit in scenario.limits if isinstance(limit, ObjectSpeed)):
-        for key, speed, acceleration in (
-            ("velocity", limit.linear, usual.acceleration),
-            ("angular_velocity", limit.angular, usual.angular_acceleration),
-        ):
+        linear = "velocity", limit.linear, usual.acceleration
+        angular = "angular_velocity", limit.angular, usual.angular_acceleration
+        for key, speed, acceleration in (linear, angular):
             if speed:
                 slowest = max(VELOCITIES[0], RAMPS[0] * acceleration)
                 limits[key] = min(max(speed, slowest), VELOCITIES[1])
@@ -194,8 +192,7 @@ def _constant(task: Task, field: str, kind: Kind) -> tuple[float, ...] | None:
     value = getattr(task, field)
     angles: dict[str, Any] = {key: getattr(task, key, None) for key in ("rpy", "rpy_deg")}
     if kind is ROTATION and value is None and any(angles.values()):
-        R = pose_matrix(Pose(**angles)).rotation
-        return tuple(np.asarray(quaternion_of(R)).tolist())
+        return tuple(np.asarray(quaternion_of(pose_matrix(Pose(**angles)).rotation)).tolist())
     if kind is ROTATION or value is None or isinstance(value, Signal):
         return None
     if kind is DIRECTION:
@@ -231,8 +228,7 @@ class Handle:
             if kind.axis:
                 yield field.name, Trajectory(kind, np.array(turn)).R[:, 2].tolist()
             else:
-                numbers = place if kind.numbers else []
-                yield field.name, numbers + (turn if kind.turns else [])
+                yield field.name, place * bool(kind.numbers) + turn * kind.turns
 
     def carried(self, place: Sequence[float], targets: Mapping[str, Array], state: State) -> Array:
         """The pose for which the object's origin goes to a place, turned as before."""
@@ -395,7 +391,10 @@ class Recording:
         inputs = dict(data.get("inputs") or {})
         for field in self._steered:
             if field.start and field.phase < len(phases):
-                _follow(phases[field.phase]["tasks"][field.task], field)
+                (fields,) = phases[field.phase]["tasks"][field.task].values()
+                for other in ("rpy", "rpy_deg") if field.kind is ROTATION else ():
+                    fields.pop(other, None)
+                fields[field.field] = {"input": {"name": field.name, "start": list(field.start)}}
                 inputs.setdefault(field.name, input_limits(scenario))
         base = Path() if scenario.folder is None else folder.resolve()
         paths = {name: str(base / FOLDER / file) for name, file in names.items()}
@@ -408,12 +407,11 @@ class Recording:
 
     def _phases(self, data: dict[str, Any]) -> list[dict[str, Any]]:
         """Put the phases that were played into the mapping, with their durations."""
-        given_phases, phases = data.get("phases", [data]), []
-        played = zip(given_phases, self._scenario.schedule, self.ticks, strict=False)
-        for given, phase, ticks in played:
+        phases, schedule = [], self._scenario.schedule
+        for given, phase, n in zip(data.get("phases", [data]), schedule, self.ticks, strict=False):
             end = max((task.end for task in phase.tasks), default=0.0)
             tasks = [*map(_spelled, given["tasks"])]
-            phases.append(given | {"duration": max(ticks * self._scenario.dt, end), "tasks": tasks})
+            phases.append(given | {"duration": max(n * self._scenario.dt, end), "tasks": tasks})
         data |= {"phases": phases} if "phases" in data else phases[0]
         return phases
 
@@ -423,11 +421,3 @@ def _spelled(slot: Any) -> dict[str, Any]:
         return {slot: {}}
     ((name, fields),) = slot.items()
     return {name: dict(fields or {})}
-
-
-def _follow(slot: dict[str, Any], field: SteeredField) -> None:
-    (fields,) = slot.values()
-    if field.kind.turns and not field.kind.numbers and not field.kind.axis:
-        fields.pop("rpy", None)
-        fields.pop("rpy_deg", None)
-    fields[field.field] = {"input": {"name": field.name, "start": list(field.start or ())}}

@@ -93,7 +93,7 @@ def test_play_draws_them_beside_hands_and_object(scenario: Scenario) -> None:
     ((start, end),) = drawn.weight
     assert end - start == pytest.approx([0.0, 0.0, -scale * 1.5 * G * scenario.held.mass])
     assert start[2] < drawn.held[2] - 0.5 * scenario.held.size[2]
-    assert "squeeze" in drawn.words
+    assert "squeeze" in drawn.errors
 
 
 def test_a_squeeze_is_a_slider_and_not_dragged(scenario: Scenario) -> None:
@@ -107,5 +107,5 @@ def test_a_squeeze_is_a_slider_and_not_dragged(scenario: Scenario) -> None:
     for _ in range(150):
         player.tick()
     (drawn,) = player.frame().laws
-    newtons = float(drawn.words.rpartition("squeeze ")[2].removesuffix(" N"))
+    newtons = float(drawn.errors.rpartition("squeeze ")[2].removesuffix(" N"))
     assert newtons == pytest.approx(7.0, rel=0.03)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from coopqp.report.scene import bodies as robot_bodies
-from coopqp.report.scene.bodies import Triangles, count_thinned, thinned
+from coopqp.report.scene.bodies import count_thinned, thinned
+from coopqp.robot_files.meshes import Mesh
 
 
-def ring(around: int = 200, across: int = 80) -> Triangles:
+def ring(around: int = 200, across: int = 80) -> Mesh:
     """A torus of 32,000 triangles."""
     a, b = np.meshgrid(
         np.linspace(0, 2 * np.pi, around, endpoint=False),
@@ -22,7 +23,7 @@ def ring(around: int = 200, across: int = 80) -> Triangles:
     right, up = np.roll(i, -1, axis=0), np.roll(i, -1, axis=1)
     corner = np.roll(right, -1, axis=1)
     halves = [np.stack([i, right, up], -1), np.stack([right, corner, up], -1)]
-    return Triangles(points, np.concatenate(halves).reshape(-1, 3))
+    return Mesh(points, np.concatenate(halves).reshape(-1, 3))
 
 
 @pytest.mark.parametrize("cell", [0.05, 0.1, 0.2])
@@ -64,7 +65,7 @@ def test_thinning_keeps_edges_and_corners() -> None:
         for side in (-1.0, 1.0):
             corners.append(halves + n * n * len(faces))
             faces.append(np.insert(square, axis, side, axis=1))
-    few = thinned(Triangles(np.concatenate(faces), np.concatenate(corners)), 0.4)
+    few = thinned(Mesh(np.concatenate(faces), np.concatenate(corners)), 0.4)
     np.testing.assert_allclose(few.vertices.max(axis=0), 1.0, atol=1e-9)
     np.testing.assert_allclose(np.abs(few.vertices).max(axis=1), 1.0, atol=1e-9)
     assert (np.abs(np.abs(few.vertices) - 1.0) < 1e-9).all(axis=1).sum() == 8
@@ -75,8 +76,6 @@ def test_thinning_keeps_edges_and_corners() -> None:
 )
 def test_thinning_many_bodies_leaves_something_of_each(rng: np.random.Generator) -> None:
     """Each reaches into all eight cells about its origin, however large they are."""
-    bodies = [
-        Triangles(rng.normal(size=(100, 3)), rng.integers(0, 100, (500, 3))) for _ in range(10)
-    ]
+    bodies = [Mesh(rng.normal(size=(100, 3)), rng.integers(0, 100, (500, 3))) for _ in range(10)]
     few = robot_bodies._within(bodies, 40 * len(bodies))  # eight cells leave up to 56 of each
     assert all(len(surface.corners) for surface in few)

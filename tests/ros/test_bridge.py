@@ -102,7 +102,7 @@ class World:
     def words(self, about: str) -> tuple[int, str]:
         """What was said last of something: its level and the words."""
         (found,) = (remark for remark in self.said[-1] if remark.about == about)
-        return found.level, found.words
+        return found.level, found.message
 
 
 @pytest.fixture
@@ -254,7 +254,7 @@ def test_joint_states_that_are_none_bring_the_robot_to_rest(scenario: Scenario, 
     assert not np.any([*world.sent.values()])
     world.bridge.say()
     assert world.words("joint states")[0] == 2
-    said = [r.words for told in world.said for r in told if r.about == "joint states"]
+    said = [r.message for told in world.said for r in told if r.about == "joint states"]
     assert any(words in line for line in said)
 
 
@@ -384,7 +384,7 @@ def test_the_limits_that_the_joints_are_at_are_named() -> None:
     world = World(coopqp.load("joint_limit_stress"))
     world.go(150)
     world.bridge.say()
-    named = {r.about: r.words for r in world.said[-1] if r.about.startswith("limit ")}
+    named = {r.about: r.message for r in world.said[-1] if r.about.startswith("limit ")}
     left = {"upper": world.chain.upper, "lower": world.chain.lower}
     at = [
         f"at {name} ({side})"

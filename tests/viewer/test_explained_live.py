@@ -17,7 +17,7 @@ from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.scenario.planned import Way
 from coopqp.study.explanation import explain_standing
-from coopqp.viewer.explainer import found, serve
+from coopqp.viewer.explainer import serve, way_round
 from coopqp.viewer.messages import Action, Explanation, WayRound
 from coopqp.viewer.player import Player
 from coopqp.viewer.worker import Peer
@@ -67,7 +67,7 @@ def test_where_it_is_stuck_a_way_round_is_offered_and_followed() -> None:
     assert player.is_stuck
     asked = player.ask_way()
     assert player.frame().sentence.endswith("looking for a way round.")
-    player.way_round = found(player.scenario, asked)
+    player.way_round = way_round(player.scenario, asked)
     assert not player.is_stuck  # it is known
     ghosts = [player.frame().ghost for _ in range(30)]
     assert all(ghost is not None for ghost in ghosts)

@@ -36,7 +36,7 @@ class Group:
 
     title: str
     hint: str
-    words: dict[str, str] = field(default_factory=dict)
+    terms: dict[str, str] = field(default_factory=dict)
     figures: list[Figure] = field(default_factory=list)
     folded: list[Figure] = field(default_factory=list)  # shown on demand, and on paper
     more: str = ""  # what those are
@@ -66,7 +66,7 @@ def groups(comparison: Comparison) -> list[Group]:
             title="Where the object is",
             hint="Dashed black: the goal of a task, where it fixes the coordinate. Dotted: the "
             "reference, which leads from the start to the goal in the task's own time.",
-            words={"Tilt": "the angle between the object's z axis and the world's."},
+            terms={"Tilt": "the angle between the object's z axis and the world's."},
             figures=where,
             folded=other_points,
             more="Other points of the object that tasks steer",
@@ -80,9 +80,9 @@ def groups(comparison: Comparison) -> list[Group]:
             more="The other tasks",
         ),
         Group(
-            title="Room to the limits",
+            title="Margins to the limits",
             hint="Hatched: beyond a limit, where the robot cannot go.",
-            words={
+            terms={
                 "Margin": "distance of the joint nearest to its limit. It tells whether limits are "
                 "kept.",
                 "Criterion φ": "the sum over all joints of ((q - middle) / range)²: 0 with every "
@@ -107,7 +107,7 @@ def groups(comparison: Comparison) -> list[Group]:
             hint="Of the matrix M = J N: N are the joint motions that keep the loops closed, J is "
             f"what the tasks measure (angles count {LENGTH:g} m a radian), by the controller's "
             "model.",
-            words={
+            terms={
                 "Condition": "its largest singular value over its smallest: how much more the "
                 "joints have to move for the hardest direction than for the easiest. It grows "
                 "without bound near a singular posture, where the pseudoinverse asks for speeds "
@@ -121,7 +121,7 @@ def groups(comparison: Comparison) -> list[Group]:
             title="Hands that press",
             hint="Hatched: beyond friction, where the object slips along the hand, and beyond a "
             "pad's edge, over which it tips.",
-            words={
+            terms={
                 "Friction": "the coefficient that the hand's wrench needs, over the real one. What "
                 "a controller counts on is less, by its safety factor.",
                 "Pressure": "where the normal force is on the pad: 0 in the middle, 1 at the edge.",
@@ -133,7 +133,7 @@ def groups(comparison: Comparison) -> list[Group]:
         Group(
             title="Torques and forces",
             hint="Hatched: beyond what the motor can do.",
-            words={
+            terms={
                 "Internal force": "what the hands do to each other through the object: it squeezes "
                 "the object and does not move it.",
                 "Squeeze": "its part along the line between two hands: above zero they press.",
@@ -148,7 +148,7 @@ def groups(comparison: Comparison) -> list[Group]:
         Group(
             title="Loops, active limits and computing time",
             hint="",
-            words={
+            terms={
                 "Loop error": "how far apart two arms carry the object; Baumgarte stabilisation "
                 "with the gain κ pulls it back.",
                 "Active": "a limit that the QP is at, which then decides with it what is done.",
@@ -161,10 +161,7 @@ def groups(comparison: Comparison) -> list[Group]:
 
 
 def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
-    """Of the tasks that miss their goal most, and of the others, each in their order.
-
-    Each to its goal, and beside it to its reference where that is on its way.
-    """
+    """To goals and moving references, of tasks that miss most, and of others; each in order."""
     tasks: dict[tuple[str, int | None], TaskInfo] = {}
     for trace in (chart.any, *chart.traces.values()):  # whose tasks may differ
         for task in trace.tasks:
@@ -176,15 +173,13 @@ def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
         return max(1.0, float(np.nan_to_num(np.max(ends), nan=np.inf)) / tasks[key].tolerance)
 
     order = sorted(tasks, key=missed, reverse=True)
-    first, others = (
-        [f for key, task in tasks.items() if key in part for f in _of_task(chart, task)]
-        for part in (order[:MAX_FIRST], order[MAX_FIRST:])
-    )
+    first, others = list[Figure](), list[Figure]()
+    for key, task in tasks.items():
+        (first if key in order[:MAX_FIRST] else others).extend(_of_task(chart, task))
     return first, others
 
 
 def _by_trace(chart: Chart, task: TaskInfo, kind: str) -> Lines:
-    """A task's errors in every trace that has it."""
     found: Lines = {}
     for name, trace in chart.traces.items():
         for i, own in enumerate(trace.tasks):
@@ -244,11 +239,11 @@ def _log(
 def tick_times(chart: Chart) -> list[Figure]:
     """One for each language in which ticks were timed, with a box a controller."""
     timed = {name: tick_times_in(chart.traces[name]) for name in chart.names}
-    by_language = (
-        (language, {name: of[language] for name, of in timed.items() if language in of})
-        for language in LANGUAGES
-    )
-    return [_times(chart, language, times) for language, times in by_language if times]
+    figures = []
+    for language in LANGUAGES:
+        if times := {name: of[language] for name, of in timed.items() if language in of}:
+            figures.append(_times(chart, language, times))
+    return figures
 
 
 def _times(chart: Chart, language: str, times: Lines) -> Figure:

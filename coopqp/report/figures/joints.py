@@ -1,6 +1,6 @@
 """Joints over time between their limits, as in the paper's figures 4-8; limits; forces."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain as joined
@@ -21,8 +21,8 @@ from coopqp.trace import Trace
 FREE_REACH = 2.0 * np.pi  # shown range of a joint without limits, at most [rad or m]
 NEAR = 0.02  # of the range: a joint this near to a limit is shown first
 MAX_FIRST = 3  # rows of joints that are shown first
-PAPER_ROBOT = "nao_t14"
-PAPER_FIGURES = {f"q{k} of the right arm": f"Fig. {3 + k} of the paper" for k in range(1, 6)}
+PAPER_ROBOT, PAPER_JOINTS = "nao_t14", [f"q{k} of the right arm" for k in range(1, 6)]
+PAPER_FIGURES = {x: f"{x}, Fig. {k} of the paper" for k, x in enumerate(PAPER_JOINTS, start=4)}
 LOG_SHARE = 3.0  # times the limit, beyond which shares need a log scale
 MIN_SHARE = 1e-3  # on a log scale
 MAX_CRITERION = 3.0  # times the lowest line's maximum, beyond which lines are cut off
@@ -47,9 +47,8 @@ def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure], list[Figure
     """
     rows = joint_rows(chart.chain)
     margins = [[_min_margin(chart, i) for i in row] for row in rows]
-    margin_of_row = [min(own) for own in margins]
-    nearest = np.argsort(margin_of_row, kind="stable")[:MAX_FIRST].tolist()
-    near = [n for n in nearest if margin_of_row[n] < NEAR]
+    nearest = np.argsort([*map(min, margins)], kind="stable")[:MAX_FIRST].tolist()
+    near = [n for n in nearest if min(margins[n]) < NEAR]
     decisive, others = near[:1], near[1:] or nearest[: not near]
     rest = [n for n in range(len(rows)) if n not in (*decisive, *others)]
     parts = (decisive, sorted(others), rest)
@@ -63,8 +62,7 @@ def joint_rows(chain: ClosedChain) -> list[Row]:
     """The joints as they are shown: those that arms share first, two equal arms side by side."""
     model, arms = chain.model, []
     for frame in chain.frames[chain.standing :]:
-        support = model.supports[model.frames[frame].parentJoint]
-        arms.append([j - 1 for j in support if j > 0])
+        arms.append([j - 1 for j in model.supports[model.frames[frame].parentJoint] if j > 0])
     counts = {j: sum(j in arm for arm in arms) for j in joined(*arms)}
     own = [[j for j in arm if counts[j] == 1] for arm in arms]
     names = [arm.name for arm in chain.arms[chain.standing :]]
@@ -95,15 +93,8 @@ def _min_margin(chart: Chart, i: int) -> float:
 
 def _figures(chart: Chart, rows: list[Row]) -> list[Figure]:
     known = PAPER_FIGURES if chart.comparison.scenario.robot_model.name == PAPER_ROBOT else {}
-    return [
-        replace(
-            _joint(chart, i),
-            about=f"{about}, {known[about]}" if about in known else about,
-            alone=len(row) == 1,
-        )
-        for row in rows
-        for i, about in row.items()
-    ]
+    every = [(i, about, len(row) == 1) for row in rows for i, about in row.items()]
+    return [replace(_joint(chart, i), about=known.get(x, x), alone=one) for i, x, one in every]
 
 
 def _joint(chart: Chart, i: int) -> Figure:
@@ -111,20 +102,15 @@ def _joint(chart: Chart, i: int) -> Figure:
     lower, upper = limits = float(chart.any.lower[i]), float(chart.any.upper[i])
     lines = _joint_lines(chart, i)
     shown = joint_window(lower, upper, list(lines.values()))
-    levels = [
-        curves.level(bound, f"{side} limit {bound:.3g}", above=side == "upper")
-        for side, bound in (("lower", lower), ("upper", upper))
-        if np.isfinite(bound)
-    ]
     return chart.figure(
         chart.any.joints[i],
-        unit if levels else f"{unit}, no limits",
+        unit if np.isfinite(limits).any() else f"{unit}, no limits",
         lines,
         shown,
-        *levels,
-        allowed=limits,
+        lower=(lower, f"lower limit {lower:.3g}"),
+        upper=(upper, f"upper limit {upper:.3g}"),
         extra=joined(*(_marks(chart, name, y, limits, shown) for name, y in lines.items())),
-        notes=curves.off_chart(shown, lines, unit),
+        noted=unit,
     )
 
 
@@ -134,9 +120,7 @@ def _joint_lines(chart: Chart, i: int) -> Lines:
     return chart.lines(lambda t: t.q[:, t.joints.index(name)] if name in t.joints else None)
 
 
-def _marks(
-    chart: Chart, name: str, y: Array, limits: tuple[float, float], shown: Window
-) -> list[Json]:
+def _marks(chart: Chart, name: str, y: Array, limits: Sequence[float], shown: Window) -> list[Json]:
     """A cross where a joint first leaves its limits, a triangle where it leaves the chart."""
     (lower, upper), marks = limits, []
     bounds = (
@@ -191,15 +175,9 @@ def _margin(chart: Chart, unit: str) -> Figure:
     best = max(0.1, *(float(y[np.isfinite(y)].max(initial=0.0)) for y in lines.values()))
     shown = curves.window(0.0, best, list(lines.values()), best)
     shown = Window(min(shown.bottom, -0.15 * best), shown.top)
-    return chart.figure(
-        f"Margin of the {'sliding joint' if unit == 'm' else 'joint'} nearest to its limit",
-        f"{unit}, negative beyond the limit",
-        lines,
-        shown,
-        curves.level(0.0, "limit", above=False),
-        allowed=(0.0, np.inf),
-        notes=curves.off_chart(shown, lines, unit),
-    )
+    title = f"Margin of the {'sliding joint' if unit == 'm' else 'joint'} nearest to its limit"
+    about = f"{unit}, negative beyond the limit"
+    return chart.figure(title, about, lines, shown, lower=(0.0, "limit"), noted=unit)
 
 
 def _criterion(chart: Chart) -> list[Figure]:
@@ -209,8 +187,8 @@ def _criterion(chart: Chart) -> list[Figure]:
         return []
     top = MAX_CRITERION * min(float(y.max()) for y in lines.values())
     shown = Window(0.0, curves.window(0.0, top / MAX_CRITERION, list(lines.values()), top).top)
-    unit, notes = "1, smaller is farther from limits on the whole", curves.off_chart(shown, lines)
-    return [chart.figure("Joint-limit criterion φ", unit, lines, shown, notes=notes)]
+    unit = "1, smaller is farther from limits on the whole"
+    return [chart.figure("Joint-limit criterion φ", unit, lines, shown, noted="")]
 
 
 def _shares(chart: Chart, title: str, what: str, lines: Lines, bound: str) -> Figure:
@@ -219,21 +197,17 @@ def _shares(chart: Chart, title: str, what: str, lines: Lines, bound: str) -> Fi
     log = high > LOG_SHARE
     shown = Window(MIN_SHARE, 3.0 * high) if log else Window(0.0, max(1.25, 1.1 * high))
     lines = {name: np.maximum(y, MIN_SHARE) for name, y in lines.items()} if log else lines
-    level, allowed = curves.level(1.0, bound, log=log), (-np.inf, 1.0)
-    return chart.figure(
-        title, f"share of {what}", lines, shown, level, allowed=allowed, log=log, steps=True
-    )
+    unit = f"share of {what}"
+    return chart.figure(title, unit, lines, shown, upper=(1.0, bound), log=log, steps=True)
 
 
 def hands(chart: Chart) -> list[Figure]:
     """Normal force, use of friction and of pads by hand, slip; none where no hand presses."""
     if not any("normal_force" in trace.signals for trace in chart.traces.values()):
         return []
-    figures = []
+    figures, signals = [], ("normal_force", "friction_use", "edge_use")
     for i, arm in enumerate(_arms(chart)):
-        normal, use, edge = (
-            _of_hand(chart, name, i) for name in ("normal_force", "friction_use", "edge_use")
-        )
+        normal, use, edge = (_of_hand(chart, signal, i) for signal in signals)
         title = f"Friction that {arm} needs over what there is"
         figures.append(chart.plain(f"Normal force of {arm}", "N", normal))
         figures.append(_up_to_one(chart, title, "slips", use))
@@ -288,10 +262,9 @@ def _torque(chart: Chart, i: int) -> Figure:
     )
     if not np.isfinite(limit):
         return chart.plain(f"{what} of {joint}", f"{unit}, no limit", lines)
-    lower = curves.level(-limit, f"-{limit:.3g}", above=False)
-    upper, allowed = curves.level(limit, f"{limit:.3g}"), (-limit, limit)
+    lower, upper = (-limit, f"-{limit:.3g}"), (limit, f"{limit:.3g}")
     shown = Window(-1.15 * limit, 1.15 * limit)
-    return chart.figure(f"{what} of {joint}", unit, lines, shown, lower, upper, allowed=allowed)
+    return chart.figure(f"{what} of {joint}", unit, lines, shown, lower=lower, upper=upper)
 
 
 def _with_signal(chart: Chart, signal: str, of: Callable[[Trace], Array | None]) -> Lines:
@@ -335,5 +308,4 @@ def _load(trace: Trace) -> Array:
 def _up_to_one(chart: Chart, title: str, beyond: str, lines: Lines) -> Figure:
     """A share that must stay below 1, and what happens beyond."""
     lines = {name: np.minimum(line, MAX_USE) for name, line in lines.items()}
-    level = curves.level(1.0, beyond)
-    return chart.figure(title, "1", lines, Window(0.0, MAX_USE), level, allowed=(-1.0, 1.0))
+    return chart.figure(title, "1", lines, Window(0.0, MAX_USE), upper=(1.0, beyond))

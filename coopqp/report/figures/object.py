@@ -17,7 +17,7 @@ joints move like any other.
 Letters: i instants, k rows of the tasks.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import ClassVar
@@ -120,9 +120,7 @@ class Tilt:
 
     def reference(self, start: pin.SE3, marks: Sequence[Sequence[Marker]], share: Array) -> Array:
         """About one axis to the goal [degrees]; NaN for a goal that turns."""
-        goals = [
-            mark.rotation for then in marks for mark in then if isinstance(mark, marker.PoseMarker)
-        ]
+        goals = [m.rotation for then in marks for m in then if isinstance(m, marker.PoseMarker)]
         if any(not np.array_equal(R, goals[0]) for R in goals):
             return np.full(len(share), np.nan)
         turn = pin.log3(goals[0] @ start.rotation.T)
@@ -135,20 +133,21 @@ Quantity = Coordinate | Tilt
 
 @dataclass(frozen=True)
 class Target:
-    """A task's goal of a quantity at times t [s], shape (i,) each; NaN where it is free.
-
-    References are by controller; none where the reference does not move there.
-    """
+    """A task's goal of a quantity at times t [s], shape (i,) each; NaN where it is free."""
 
     task: str
     t: Array
     goal: Array
-    references: dict[str, Array] = field(default_factory=dict)
+    references: dict[str, Array] = field(default_factory=dict)  # that move, by controller
 
 
 def object_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
     """Coordinates and tilt of the object, and the coordinates of other points that tasks steer."""
-    first, *others = _points(chart)
+    tasks = [task for phase in chart.comparison.scenario.schedule for task in phase.tasks]
+    marks = [m for task in tasks for m in marks_of(task.name, partial(task.marks, Moment()), [])]
+    steered = dict.fromkeys(mark.point for mark in marks if isinstance(mark, marker.TrackedMarker))
+    # The origin comes first if it is one of them.
+    first, *others = sorted(steered, key=lambda point: point != ORIGIN) or [ORIGIN]
     shown: list[Quantity] = [*(Coordinate(axis=i, point=first) for i in range(3)), Tilt()]
     hidden = [Coordinate(axis=i, point=point) for point in others for i in range(3)]
     return [_figure(chart, of) for of in shown], [_figure(chart, of) for of in hidden]
@@ -177,14 +176,6 @@ def targets(chart: Chart, quantity: Quantity) -> list[Target]:
     return every
 
 
-def _points(chart: Chart) -> list[tuple[float, float, float]]:
-    """Points of the object that tasks steer, the origin first if it is one of them."""
-    tasks = [task for phase in chart.comparison.scenario.schedule for task in phase.tasks]
-    marks = [m for task in tasks for m in marks_of(task.name, partial(task.marks, Moment()), [])]
-    points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, marker.TrackedMarker))
-    return sorted(points, key=lambda point: point != ORIGIN) or [ORIGIN]
-
-
 def _figure(chart: Chart, quantity: Quantity) -> Figure:
     lines = chart.lines(lambda trace: quantity.of(trace.position, trace.rotation))
     wanted = targets(chart, quantity)
@@ -195,43 +186,45 @@ def _figure(chart: Chart, quantity: Quantity) -> Figure:
     low = max(low - 0.5 * missing, quantity.floor)
     high = max(high + 0.5 * missing, low + quantity.min_height)
     shown = curves.window(low, high, list(lines.values()), REACH * (high - low))
-    extra = [line for target in wanted for line in _drawn(chart, target)]
-    notes = curves.off_chart(shown, lines, quantity.unit)
-    return chart.figure(quantity.title, quantity.unit, lines, shown, extra=extra, notes=notes)
+    extra, unit = [line for target in wanted for line in _drawn(chart, target)], quantity.unit
+    return chart.figure(quantity.title, unit, lines, shown, extra=extra, noted=unit)
 
 
 def _drawn(chart: Chart, target: Target) -> list[Json]:
     """The reference, once where it is the same for all, and the goal."""
-    each = list(target.references.values())
+
+    def line(kind: str, y: Array, look: Json) -> Json:
+        rows = [0, -1] if (y == y[0]).all() else slice(None)
+        return curves.aside(f"{kind} of '{target.task}'", target.t[rows], y[rows], look)
+
+    lines, each = [], list(target.references.values())
     alike = each and np.nanmax(np.abs(np.array(each) - each[0]), initial=0.0) < SAME
-    lines = []
-    for name, y in list(target.references.items())[: 1 if alike else None]:
+    for name, y in target.references.items():
         own = {} if alike else {"legendgroup": name}
-        look = REFERENCE if alike else REFERENCE | {"color": chart.styles[name].color}
-        lines.append(_line(f"reference of '{target.task}'", target.t, y, look) | own)
-    return [*lines, _line(f"goal of '{target.task}'", target.t, target.goal, GOAL)]
-
-
-def _line(name: str, t: Array, y: Array, look: Json) -> Json:
-    rows = [0, -1] if (y == y[0]).all() else slice(None)
-    return curves.aside(name, t[rows], y[rows], look)
+        look = {} if alike else {"color": chart.styles[name].color}
+        lines.append(line("reference", y, REFERENCE | look) | own)
+    return [*lines[: 1 if alike else None], line("goal", target.goal, GOAL)]
 
 
 MAX_SOLVED = 300  # of each controller and phase
 WORST = 1e6  # larger conditions are drawn here
+_Curve = tuple[Array, Array]  # time and value
 LESS = "The tasks ask for more than the loops leave free; what they leave is drawn."
-
-Phases = list[tuple[Array, Array]]  # instants and singular values of each phase
 
 
 def freedom_figures(chart: Chart) -> list[Figure]:
     """Condition and manipulability; none where no joints can move the object for a task."""
-    runs = {name: _phases(chart, name) for name in chart.names}
-    ratio, product = (_lines(runs, of) for of in (condition, manipulability))
+    ratio, product, less = dict[str, _Curve](), dict[str, _Curve](), False
+    for name, trace in ((name, chart.traces[name]) for name in chart.names):
+        phases = zip(chart.problems[name], chart.instants(trace, MAX_SOLVED), strict=True)
+        known = [(t := trace.t[k], singular_values(p, t - t[0], trace.q[k])) for p, k in phases]
+        less |= any(left(sigma).shape[1] < sigma.shape[1] for _, sigma in known)
+        if movable := [(t, sigma) for t, sigma in known if left(sigma).size]:
+            t = np.concatenate([t for t, _ in movable])
+            ratio[name] = t, np.concatenate([condition(sigma) for _, sigma in movable])
+            product[name] = t, np.concatenate([manipulability(sigma) for _, sigma in movable])
     if not ratio:
         return []
-    every = [sigma for phases in runs.values() for _, sigma in phases]
-    notes = (LESS,) if any(left(s).shape[1] < s.shape[1] for s in every) else ()
     worst, best = (max(float(np.nanmax(y)) for _, y in of.values()) for of in (ratio, product))
     lowest = min(float(np.nanmin(y)) for _, y in ratio.values())
     log = curves.logarithmic(Window(min(1.0, lowest), max(10.0, 2.0 * worst)))
@@ -243,7 +236,7 @@ def freedom_figures(chart: Chart) -> list[Figure]:
             unit=unit,
             data=[curves.curve(name, chart.styles[name], t, y) for name, (t, y) in of.items()],
             layout=chart.layout(axis),
-            notes=notes,
+            notes=(LESS,) * less,
         )
         for title, unit, of, axis in (
             ("Condition", "1, log scale", ratio, log),
@@ -266,11 +259,8 @@ def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
     for k in np.flatnonzero(np.isfinite(q).all(axis=1)).tolist() if len(lengths) else ():
         state.t, state.q[:] = float(t[k]), q[k]
         state.update()
-        updated = False
-        with suppressed():  # the tick, which met the same error, names it
+        with suppressed():  # of a task's error, which the tick has met and names
             tasks.update(state)
-            updated = True
-        if updated:
             M = lengths[:, None] * tasks.J @ null_space(chain.loop_jacobian(q[k]))
             values = np.linalg.svd(M, compute_uv=False)
             sigma[k] = np.pad(values, (0, len(lengths) - len(values)))
@@ -292,22 +282,3 @@ def condition(sigma: Array) -> Array:
 def manipulability(sigma: Array) -> Array:
     """Product of the singular values, sqrt(det(M M')), shape (i,)."""
     return np.asarray(left(sigma).prod(axis=1))
-
-
-def _phases(chart: Chart, name: str) -> Phases:
-    trace = chart.traces[name]
-    instants = chart.instants(trace, MAX_SOLVED)
-    return [
-        (t := trace.t[rows], singular_values(problem, t - t[0], trace.q[rows]))
-        for problem, rows in zip(chart.problems[name], instants, strict=True)
-    ]
-
-
-def _lines(runs: dict[str, Phases], of: Callable[[Array], Array]) -> dict[str, tuple[Array, Array]]:
-    """Time and value of each controller whose joints can move the object for some task."""
-    lines = {}
-    for name, phases in runs.items():
-        if known := [(t, of(sigma)) for t, sigma in phases if left(sigma).size]:
-            t, y = (np.concatenate(part) for part in zip(*known, strict=True))
-            lines[name] = t, y
-    return lines

@@ -19,14 +19,13 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.reading import version
 from coopqp.base.spec import Array
 from coopqp.model.marker import SolidMarker
 from coopqp.robot import Capsule, RobotModel, Shape
-from coopqp.robot_files.meshes import read_mesh
+from coopqp.robot_files.meshes import Ints, Mesh, read_mesh
 from coopqp.trace import Trace
 
 MAX_TRIANGLES = 2000  # of each arm, and of all that belongs to none
@@ -36,15 +35,6 @@ THICKNESS = 0.04  # radius of a link's capsule, in lengths of the longest arm
 SHORT = 1e-3  # links below are not drawn, in lengths of the longest arm
 ROUND = 12  # corners of a circle
 FLAT = 1e-2  # share of a cell's largest eigenvalue below which its planes leave the point free
-Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Triangles:
-    """A surface: vertices (v, 3) [m], corners of its triangles (t, 3); no side is outside."""
-
-    vertices: Array
-    corners: Ints
 
 
 @dataclass(frozen=True)
@@ -54,7 +44,7 @@ class Body:
     joint: int  # its index in the robot's model; 0 is the base
     # number of the arm that alone is moved by it; None for the base and what arms share
     arm: int | None
-    surface: Triangles
+    surface: Mesh
 
 
 def robot_bodies(robot: RobotModel) -> tuple[tuple[Body, ...], tuple[str, ...]]:
@@ -68,7 +58,11 @@ def robot_bodies(robot: RobotModel) -> tuple[tuple[Body, ...], tuple[str, ...]]:
                 middle, length = capsule.placed
                 surface = moved(_turned(_round_ends(capsule.radius, length)), middle)
                 surfaces.setdefault(joint, []).append(surface)
-    arm_of = {joint: _arm_of(robot, joint) for joint in sorted(surfaces)}
+    joints_of = [robot.arm_joints(arm) for arm in robot.arms]
+    arm_of: dict[int, int | None] = {}
+    for joint in sorted(surfaces):
+        moving = [i for i, own in enumerate(joints_of) if robot.model.names[joint] in own]
+        arm_of[joint] = moving[0] if len(moving) == 1 else None
     bodies = []
     for arms in ([None], range(len(robot.arms))):
         joints = [joint for joint, arm in arm_of.items() if arm in arms]
@@ -84,22 +78,20 @@ def solid_body(solid: SolidMarker) -> Body:
 
 
 def body_places(
-    robot: RobotModel, bodies: Sequence[Body], trace: Trace, rows: NDArray[np.int64]
+    robot: RobotModel, bodies: Sequence[Body], trace: Trace, rows: Ints
 ) -> list[list[pin.SE3]]:
     """Pose of each body's joint in the world, for each of the rows of a trace, shape (r,)."""
     model, data = robot.model, robot.model.createData()
     # The joints of grasps come after the hands and move no body of the robot.
-    columns = [trace.joints.index(name) for name in robot.joint_names]
-    places = []
+    columns, places = [trace.joints.index(name) for name in robot.joint_names], []
     for q in trace.q[rows][:, columns]:
         pin.forwardKinematics(model, data, q)
         places.append([data.oMi[body.joint].copy() for body in bodies])
     return places
 
 
-def _surfaces_of_shapes(robot: RobotModel) -> tuple[dict[int, list[Triangles]], tuple[str, ...]]:
-    """Surfaces of the links' shapes by joint, and what cannot be read."""
-    surfaces: dict[int, list[Triangles]] = {}
+def _surfaces_of_shapes(robot: RobotModel) -> tuple[dict[int, list[Mesh]], tuple[str, ...]]:
+    surfaces: dict[int, list[Mesh]] = {}
     faults = set()
     for shape in robot.shapes:
         try:
@@ -114,22 +106,15 @@ def _surfaces_of_shapes(robot: RobotModel) -> tuple[dict[int, list[Triangles]], 
 
 
 @lru_cache(maxsize=256)
-def _read_mesh(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Triangles:
+def _read_mesh(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Mesh:
     """The mesh in a version of a file, thinned so as not to slow what follows."""
-    mesh = read_mesh(path, scale)
-    surface = Triangles(mesh.vertices, mesh.corners)
+    surface = read_mesh(path, scale)
     return thinned(surface, READ * _size([surface]))
 
 
-def _size(surfaces: Sequence[Triangles]) -> float:
+def _size(surfaces: Sequence[Mesh]) -> float:
     """The longest edge of the boxes round each [m]."""
     return max(float(np.ptp(surface.vertices, axis=0).max()) for surface in surfaces)
-
-
-def _arm_of(robot: RobotModel, joint: int) -> int | None:
-    name = robot.model.names[joint]
-    arms = [i for i, arm in enumerate(robot.arms) if name in robot.arm_joints(arm)]
-    return arms[0] if len(arms) == 1 else None
 
 
 def _links(robot: RobotModel) -> list[Capsule]:
@@ -142,16 +127,12 @@ def _links(robot: RobotModel) -> list[Capsule]:
         ends.append([(j, X.translation.copy()) for j, X in zip(joints, places, strict=True)])
     reach = max(sum(float(np.linalg.norm(end)) for _, end in arm) for arm in ends)
     look: Any = {"name": "link", "start": (0.0, 0.0, 0.0), "radius": THICKNESS * reach}
-    links = (
-        Capsule(joint=model.names[joint], end=tuple(end.tolist()), **look)
-        for arm in ends
-        for joint, end in arm
-        if np.linalg.norm(end) > SHORT * reach
-    )
+    long = ((j, end) for arm in ends for j, end in arm if np.linalg.norm(end) > SHORT * reach)
+    links = (Capsule(joint=model.names[j], end=tuple(end.tolist()), **look) for j, end in long)
     return list(dict.fromkeys(links))  # arms share those of a torso
 
 
-def _within(surfaces: Sequence[Triangles], max_triangles: int) -> list[Triangles]:
+def _within(surfaces: Sequence[Mesh], max_triangles: int) -> list[Mesh]:
     """All thinned by one grid, about as fine as the number of triangles allows."""
     if sum(len(surface.corners) for surface in surfaces) <= max_triangles:
         return list(surfaces)
@@ -169,19 +150,19 @@ def _within(surfaces: Sequence[Triangles], max_triangles: int) -> list[Triangles
     return [thinned(surface, coarse) for surface in surfaces]
 
 
-def joined(parts: Sequence[Triangles]) -> Triangles:
+def joined(parts: Sequence[Mesh]) -> Mesh:
     """Several surfaces as one."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts)])
     corners = [part.corners + k for part, k in zip(parts, first[:-1], strict=True)]
-    return Triangles(np.concatenate([part.vertices for part in parts]), np.concatenate(corners))
+    return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(corners))
 
 
-def moved(surface: Triangles, X: pin.SE3) -> Triangles:
+def moved(surface: Mesh, X: pin.SE3) -> Mesh:
     """The surface somewhere else."""
-    return Triangles(surface.vertices @ X.rotation.T + X.translation, surface.corners)
+    return Mesh(surface.vertices @ X.rotation.T + X.translation, surface.corners)
 
 
-def _surface(shape: Shape | SolidMarker) -> Triangles:
+def _surface(shape: Shape | SolidMarker) -> Mesh:
     """The surface of a shape, about its own origin; InvalidValueError: its mesh cannot be read."""
     size = shape.size
     if shape.kind == "mesh":
@@ -195,14 +176,14 @@ def _surface(shape: Shape | SolidMarker) -> Triangles:
     if shape.kind == "capsule":
         return _turned(_round_ends(size[0], size[1]))
     ball = _turned(_round_ends(1.0, 0.0))  # an ellipsoid has three radii, a sphere one
-    return Triangles(ball.vertices * np.array(size), ball.corners)
+    return Mesh(ball.vertices * np.array(size), ball.corners)
 
 
-def _box(edges: Sequence[float]) -> Triangles:
+def _box(edges: Sequence[float]) -> Mesh:
     vertices = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"))
     sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     halves = [half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))]
-    return Triangles(vertices.reshape(3, 8).T * np.array(edges), np.array(halves))
+    return Mesh(vertices.reshape(3, 8).T * np.array(edges), np.array(halves))
 
 
 def _round_ends(radius: float, length: float) -> Array:
@@ -213,7 +194,7 @@ def _round_ends(radius: float, length: float) -> Array:
     return np.column_stack([radius * np.cos(angles), radius * np.sin(angles) + half])
 
 
-def _turned(outline: Array) -> Triangles:
+def _turned(outline: Array) -> Mesh:
     """The surface that an outline sweeps about z: distances from z and heights, (p, 2) [m]."""
     angles = np.linspace(0.0, 2.0 * np.pi, ROUND, endpoint=False)
     distance, height = outline[:, :1], np.broadcast_to(outline[:, 1:], (len(outline), ROUND))
@@ -221,10 +202,10 @@ def _turned(outline: Array) -> Triangles:
     here = np.arange(rings[:-1, :, 0].size).reshape(-1, ROUND)
     right, up = np.roll(here, -1, axis=1), here + ROUND
     halves = [np.stack([here, right, up], -1), np.stack([right, np.roll(up, -1, axis=1), up], -1)]
-    return Triangles(rings.reshape(-1, 3), np.concatenate(halves).reshape(-1, 3))
+    return Mesh(rings.reshape(-1, 3), np.concatenate(halves).reshape(-1, 3))
 
 
-def thinned(surface: Triangles, cell: float) -> Triangles:
+def thinned(surface: Mesh, cell: float) -> Mesh:
     """The surface with one vertex in each cell of a grid, of this edge [m].
 
     No vertex leaves its cell, so that the surface moves by less than a cell's diagonal.
@@ -234,16 +215,15 @@ def thinned(surface: Triangles, cell: float) -> Triangles:
     points = _nearest_to_planes(surface, of_vertex, corners, len(cells))
     points = np.clip(points, cells * cell, (cells + 1) * cell)
     used, kept = np.unique(_distinct(corners), return_inverse=True)
-    return Triangles(points[used], kept.reshape(-1, 3))
+    return Mesh(points[used], kept.reshape(-1, 3))
 
 
-def count_thinned(surface: Triangles, cell: float) -> int:
+def count_thinned(surface: Mesh, cell: float) -> int:
     """How many triangles :func:`thinned` would leave."""
-    _, of_vertex = _cells(surface, cell)
-    return len(_distinct(of_vertex[surface.corners]))
+    return len(_distinct(_cells(surface, cell)[1][surface.corners]))
 
 
-def _cells(surface: Triangles, cell: float) -> tuple[Ints, Ints]:
+def _cells(surface: Mesh, cell: float) -> tuple[Ints, Ints]:
     """The cells that have vertices, shape (c, 3), and the number of each vertex's, shape (v,)."""
     cells = np.floor(surface.vertices / cell).astype(np.int64)
     numbers = _number(cells - cells.min(axis=0, initial=0))
@@ -265,7 +245,7 @@ def _number(rows: Ints) -> Ints:
     return np.asarray((rows[:, 0] * base + rows[:, 1]) * base + rows[:, 2])
 
 
-def _nearest_to_planes(surface: Triangles, of_vertex: Ints, corners: Ints, count: int) -> Array:
+def _nearest_to_planes(surface: Mesh, of_vertex: Ints, corners: Ints, count: int) -> Array:
     """Of each cell the point with the least sum of squared distances to its planes.
 
     A plane counts with its triangle's area. Where planes leave the point free it is as near to the

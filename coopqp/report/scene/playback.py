@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from coopqp.assessment.limits import beyond
 from coopqp.assessment.thresholds import AT_LIMIT
@@ -25,15 +24,14 @@ from coopqp.execution.instants import arm_points
 from coopqp.model import marker
 from coopqp.model.marker import Marker, marks_of
 from coopqp.report.cells import length
-from coopqp.report.curves import styles
+from coopqp.report.curves import Json, styles
 from coopqp.report.figures.joints import joint_units, margin
 from coopqp.report.scene.bodies import Body, body_places, moved, robot_bodies, solid_body
 from coopqp.robot import RobotModel
+from coopqp.robot_files.meshes import Ints
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks.posture import posture
 from coopqp.trace import Trace
-
-Json = dict[str, Any]
 
 GRAVITY = 9.81  # [m/s2]
 LONGEST = 1.3  # length of the longest arrow, in longest edges of the object
@@ -48,9 +46,7 @@ SLICES = 8  # of what is shown, to find the largest scale at which it fits
 #: axes of a pose, in longest edges of the object.
 PLANE_SHARE, LINE_SHARE, AXES_SHARE = 0.65, 1.0, 0.5
 
-KINDS = (
-    "goals", "lines", "directions", "planes", "circles", "spheres", "poses", "orientations"
-)  # fmt: skip
+KINDS = ("goals", "lines", "directions", "planes", "circles", "spheres", "poses", "orientations")
 #: Which of its values say where it is.
 PLACES = {
     "goals": "at", "poses": "at", "circles": "center", "spheres": "center", "planes": "corners",
@@ -58,8 +54,7 @@ PLACES = {
 }  # fmt: skip
 #: What moves with the robot, and so differs between controllers.
 TRACKED, POSTURE, RELATIVE = "tracked", "posture", "relative"
-#: What stands still, and is drawn as the robot is.
-SOLID = "solid"
+SOLID = "solid"  # what stands still, and is drawn as the robot is
 #: Kinds of markers whose fields are drawn as they are.
 AS_THEY_ARE: dict[type, str] = {
     marker.PointMarker: "goals", marker.CircleMarker: "circles", marker.SphereMarker: "spheres",
@@ -74,7 +69,6 @@ class Place:
         self._start, self._size = scenario.chain.start_position, max(scenario.held.size)
 
     def drawn(self, mark: Marker) -> tuple[str, Json]:
-        """The kind and what is drawn."""
         match mark:
             case marker.LineMarker():
                 return self._line(mark)
@@ -132,7 +126,15 @@ def scene(comparison: Comparison) -> Json:
         "duration": float(first.t[-1]),
         "size": list(scenario.held.size),
         "view": view(comparison, bodies, in_view(marks)),
-        "bodies": [_body(body) for body in bodies],
+        "bodies": [
+            {
+                "moves": body.joint > 0,
+                "arm": body.arm,
+                "vertices": short(body.surface.vertices.ravel()),
+                "triangles": body.surface.corners.ravel().tolist(),
+            }
+            for body in bodies
+        ],
         "notes": [*robot.warnings, *faults, *dict.fromkeys(undrawn)],
         **as_json(marks),
         "controllers": [
@@ -152,17 +154,7 @@ def scene(comparison: Comparison) -> Json:
     }
 
 
-def _body(body: Body) -> Json:
-    """The surface in its joint's frame; the base's is in the world."""
-    return {
-        "moves": body.joint > 0,
-        "arm": body.arm,
-        "vertices": short(body.surface.vertices.ravel()),
-        "triangles": body.surface.corners.ravel().tolist(),
-    }
-
-
-def _motion(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json:
+def _motion(trace: Trace, scenario: Scenario, frames: Ints) -> Json:
     state, robot = joint_state(trace), scenario.chain.robot
     places, middle = label_places(robot, trace.points), short(_middle(trace.points))
     columns = {a.name: [trace.joints.index(j) for j in robot.arm_joints(a)] for a in robot.arms}
@@ -205,15 +197,14 @@ def _middle(points: Mapping[str, Array]) -> Array:
     return np.asarray(np.concatenate([of[0] for of in points.values()]).mean(axis=0))
 
 
-def joint_state(trace: Trace) -> NDArray[np.int64]:
+def joint_state(trace: Trace) -> Ints:
     """Whether each joint is inside, at or beyond its limits, shape (T + 1, n)."""
     out = beyond(trace)
     return np.select([out > AT_LIMIT, out >= -AT_LIMIT], [BEYOND, AT], INSIDE)
 
 
-def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
-    texts = []
-    margins = {unit: margin(trace, unit) for unit in joint_units([trace])}
+def _readout(trace: Trace, frames: Ints) -> list[list[str]]:
+    texts, margins = [], {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
         lines = []
         errors = zip(trace.tasks, trace.goal_error[k], trace.task_error[k], strict=True)
@@ -223,8 +214,7 @@ def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
                 same = behind == far or trace.t[k] >= task.end
                 way = "" if same else f", {behind:.3g} from its reference"
                 lines.append(f"{task.name} {far:.3g} {unit} off{way}")
-        left = [f"{m[k]:.3g} {unit}" for unit, m in margins.items() if np.isfinite(m[k])]
-        if left:
+        if left := [f"{m[k]:.3g} {unit}" for unit, m in margins.items() if np.isfinite(m[k])]:
             lines.append(f"limit margin {', '.join(left)}")
         if k > 0 and "hand_wrench" in trace.signals:
             signals = (trace.signals[name][k - 1] for name in ("hand_point", "hand_wrench"))
@@ -253,8 +243,7 @@ def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[s
     near = np.clip(everything, starts.min(axis=0) - reach, starts.max(axis=0) + reach)
     shown = np.concatenate([near, goals])
     low, high = shown.min(axis=0), shown.max(axis=0)
-    corners = {"low": low, "high": high, "rims": _rims(shown, 0.5 * (low + high))}
-    return {name: short(values) for name, values in corners.items()}
+    return {"low": short(low), "high": short(high), "rims": short(_rims(shown, 0.5 * (low + high)))}
 
 
 def _rims(points: Array, middle: Array) -> Array:
@@ -280,7 +269,7 @@ def squeeze_words(points: Array, wrenches: Array) -> str:
     return f"squeeze {', '.join(f'{force:.3g}' for force in forces)} N" if forces else ""
 
 
-def arrows(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json | None:
+def arrows(trace: Trace, scenario: Scenario, frames: Ints) -> Json | None:
     """Start and way of each arrow in each frame, for ``playback.js``; None without forces."""
     if "hand_wrench" not in trace.signals or not trace.ticks:
         return None
@@ -315,7 +304,6 @@ class Shown:
 
     @property
     def frames(self) -> Json:
-        """The first and the last one."""
         return {"first": self.first, "last": self.first + len(self.values) - 1}
 
     def stacked(self, key: str) -> Array:
@@ -327,42 +315,26 @@ class Shown:
         return {"name": self.name, "limit": self.limit, **self.frames, **values}
 
 
-def shown_marks(
-    scenario: Scenario, frames: NDArray[np.int64], trace: Trace, faults: list[str]
-) -> list[Shown]:
+def shown_marks(scenario: Scenario, frames: Ints, trace: Trace, faults: list[str]) -> list[Shown]:
     """The markers of the tasks of all phases and of the limits, at ticks; errors become faults."""
-    place, every = Place(scenario), []
+    place, every = Place(scenario), list[Shown]()
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
     for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
         own = np.flatnonzero(phases == i).tolist()
         times = {k: float(trace.t[frames[k]]) - tick * scenario.dt for k in own}
-        for task in phase.tasks:
-            marks = {
-                k: marks_of(task.name, partial(task.marks, trace.moment(int(frames[k]), t)), faults)
-                for k, t in times.items()
-            }
-            every += _through_time(marks, task.name, place, limit=False)
-        for limit in scenario.limits:
-            name = type_name(type(limit))
-            marks = {k: marks_of(name, partial(limit.marks, t), faults) for k, t in times.items()}
-            every += _through_time(marks, name, place, limit=True)
-    return every
-
-
-def _through_time(
-    marks: dict[int, tuple[Marker, ...]], name: str, place: Place, *, limit: bool
-) -> list[Shown]:
-    """Markers by frame, which may come and go; one that stays is one."""
-    every: list[Shown] = []
-    current: dict[tuple[int, str], Shown] = {}
-    for k, marks_then in marks.items():
-        for i, mark in enumerate(marks_then):
-            kind, values = place.drawn(mark)
-            shown = current.get((i, kind))
-            if shown is None or shown.frames["last"] < k - 1:
-                shown = current[i, kind] = Shown(kind, name, limit, k)
-                every.append(shown)
-            shown.values.append(values)
+        sources: list[Any] = [(task, task.name, False) for task in phase.tasks]
+        sources += [(limit, type_name(type(limit)), True) for limit in scenario.limits]
+        for source, name, limit in sources:
+            current: dict[tuple[int, str], Shown] = {}  # which may come and go
+            for k, t in times.items():
+                at = t if limit else trace.moment(int(frames[k]), t)
+                for n, mark in enumerate(marks_of(name, partial(source.marks, at), faults)):
+                    kind, values = place.drawn(mark)
+                    last = current.get((n, kind))
+                    if last is None or last.frames["last"] < k - 1:
+                        last = current[n, kind] = Shown(kind, name, limit, k)
+                        every.append(last)
+                    last.values.append(values)
     return every
 
 
@@ -383,9 +355,7 @@ def short(values: Array) -> Any:
     return np.nan_to_num(values, posinf=0.0, neginf=0.0).round(4).tolist()
 
 
-def carried(
-    marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: NDArray[np.int64]
-) -> dict[str, list[Json]]:
+def carried(marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: Ints) -> Json:
     """By kind, for ``playback.js``."""
     every: dict[str, list[Json]] = {"tracked": [], "postures": [], "relatives": []}
     for mark in marks:
@@ -401,7 +371,7 @@ def carried(
     return every
 
 
-def _posture(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int64]) -> list[Any]:
+def _posture(scenario: Scenario, trace: Trace, mark: Shown, own: Ints) -> list[Any]:
     """Of each arm with a joint that has a goal, f times its joints and its hand."""
     chain, q, moved = scenario.chain, trace.q[own].copy(), set()
     goals = np.array([posture(values["goal"], chain) for values in mark.values])
@@ -414,7 +384,7 @@ def _posture(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int6
     return [short(points[arm.name]) for arm in arms]
 
 
-def _relative(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int64]) -> Json:
+def _relative(scenario: Scenario, trace: Trace, mark: Shown, own: Ints) -> Json:
     """Origin and axes in the world, f each."""
     problems = list(scenario.problems(lambda first: np.asarray(trace.commanded[first])))
     phase = int(np.searchsorted(scenario.first_ticks, own[0], side="right")) - 1

@@ -170,9 +170,8 @@ def _paired(pairs: Sequence[Pair], *, exact: bool) -> str:
         lines = (f'<span class="lines">{v.replace(chr(10), "<br>")}</span>' for v in values)
         rows.append([breakable(p.controller), *(f"{n:,}" for n in counts), *lines])
     hint = "" if exact else TESTS
-    return (
-        f"<section><h2>Controllers against each other</h2>{hint}{html_table(heads, rows)}</section>"
-    )
+    table = html_table(heads, rows)
+    return f"<section><h2>Controllers against each other</h2>{hint}{table}</section>"
 
 
 def _limits(line: Line) -> str:
@@ -203,10 +202,8 @@ def _worst(name: str, rows: Sequence[int], varied: Sequence[str], columns: Colum
     shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
     numbers = columns.numbers("row")[list(rows)].astype(int)
-    linked = [
-        [f'<a href="{ROWS}/{number}.yaml">{number}</a>', *(v[k] for v in values)]
-        for k, number in enumerate(numbers)
-    ]
+    links = [f'<a href="{ROWS}/{number}.yaml">{number}</a>' for number in numbers]
+    linked = [[link, *(v[k] for v in values)] for k, link in enumerate(links)]
     heads = ["row", *(breakable(column).replace(".", ".<wbr>") for column in shown)]
     return f'{head}<div class="worst">{html_table(heads, linked)}</div>'
 
@@ -240,12 +237,8 @@ class Axis:
 
 def axes(study: Study, columns: Columns) -> list[Axis]:
     """All that takes more than one value, the first ones of many."""
-    sides = {
-        name: side
-        for one in study.varied
-        for name, side in zip(one.columns, one.over.sides, strict=False)
-        if isinstance(side, Interval)
-    }
+    pairs = (x for one in study.varied for x in zip(one.columns, one.over.sides, strict=False))
+    sides = {name: side for name, side in pairs if isinstance(side, Interval)}
     count = bins_for(study.points.count)
     every = (_axis(columns, name, sides.get(name), count) for name in study.columns)
     return [axis for axis in every if axis is not None and axis.count > 1][:MAX_AXES]
@@ -253,8 +246,7 @@ def axes(study: Study, columns: Columns) -> list[Axis]:
 
 def bins_for(variants: int) -> int:
     """So many that a cell of a map has enough rows; a multiple of four, for ticks."""
-    fitting = int(np.sqrt(variants / ROWS_A_CELL)) // 4 * 4
-    return min(BINS, max(MIN_BINS, fitting))
+    return min(BINS, max(MIN_BINS, int(np.sqrt(variants / ROWS_A_CELL)) // 4 * 4))
 
 
 def _axis(columns: Columns, name: str, side: Interval | None, count: int) -> Axis | None:
@@ -317,18 +309,16 @@ class Binned:
         for i, j in pairs:
             a, b = self.axes[i], self.axes[j]
             cell, cells = a.code * b.count + b.code, a.count * b.count
-            counts = (
+            every, succeeded = (
                 [np.bincount(cell[rows], minlength=cells).tolist() for rows in kept]
                 for kept in (done, good)
             )
-            yield {"x": i, "y": j} | dict(zip(("all", "good"), counts, strict=True))
+            yield {"x": i, "y": j, "all": every, "good": succeeded}
 
     def bands(self, values: Array) -> list[list[list[list[float] | None]]]:
         """Quantiles of a column: by axis, by controller, by bin; None for an empty bin."""
-        return [
-            [self._quantiles(axis, values, k) for k in range(len(self.controllers))]
-            for axis in self.axes
-        ]
+        controllers = range(len(self.controllers))
+        return [[self._quantiles(axis, values, k) for k in controllers] for axis in self.axes]
 
     def _quantiles(self, axis: Axis, values: Array, controller: int) -> list[list[float] | None]:
         rows = np.flatnonzero(self.done & (self.controller == controller) & np.isfinite(values))

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from coopqp.base.errors import one_line
 from coopqp.study.sweep.study import Study
-from coopqp.study.sweep.summary import ERROR, Difference, Line, Summary
+from coopqp.study.sweep.summary import ERROR, Difference, Line, Pair, Summary
 from coopqp.study.sweep.sweep import Progress as State
 
 MAX_NAMES, MAX_REASONS = 3, 5
@@ -24,11 +24,8 @@ EVERY = 30.0  # s between two lines
 def table(name: str, summary: Summary) -> Table:
     """One row a controller."""
     success = "success\n%" if summary.exact else "success\n%, 95 % interval"
-    out = _framed(
-        f"{name}: {summary.rows:,} rows",
-        [line.controller for line in summary.lines],
-        ("done,\ninvalid,\nfailed", success, "reached\n%", "error, median\n95 % (m, rad)"),
-    )
+    headings = ("done,\ninvalid,\nfailed", success, "reached\n%", "error, median\n95 % (m, rad)")
+    out = _framed(f"{name}: {summary.rows:,} rows", summary.lines, headings)
     for heading in ("blocked by,\nhow often", "broken,\nhow often"):
         out.add_column(heading, overflow="fold", min_width=14)
     for line in summary.lines:
@@ -41,28 +38,23 @@ def paired(summary: Summary) -> Table | None:
     if not summary.pairs:
         return None
     exact, tested = summary.exact, "" if summary.exact else ", p; 95 % interval"
-    out = _framed(
-        f"less {summary.pairs[0].reference} on the same variants{tested}",
-        [pair.controller for pair in summary.pairs],
-        ("success, points", "error, median (m, rad)", "margin, median (m, rad)"),
-    )
+    title = f"less {summary.pairs[0].reference} on the same variants{tested}"
+    headings = ("success, points", "error, median (m, rad)", "margin, median (m, rad)")
+    out = _framed(title, summary.pairs, headings)
     for pair in summary.pairs:
         *errors, margin = (difference(each, exact=exact) for each in pair.numbers.values())
-        out.add_row(
-            Text(one_line(pair.controller), style="bold"),
-            points(pair.success.difference, exact=exact),
-            Text("\n".join(map(_of_task, pair.numbers, errors))),
-            margin,
-        )
+        share = points(pair.success.difference, exact=exact)
+        of_tasks = Text("\n".join(map(_of_task, pair.numbers, errors)))
+        out.add_row(Text(one_line(pair.controller), style="bold"), share, of_tasks, margin)
     return out
 
 
-def _framed(title: str, controllers: Sequence[str], headings: Sequence[str]) -> Table:
+def _framed(title: str, rows: Sequence[Line | Pair], headings: Sequence[str]) -> Table:
     out = Table(
         title=Text(one_line(title), style="bold"), title_justify="left", box=box.SIMPLE_HEAD,
         padding=(0, 1), show_edge=False,
     )  # fmt: skip
-    longest = max((len(one_line(name)) for name in controllers), default=0)
+    longest = max((len(one_line(row.controller)) for row in rows), default=0)
     out.add_column("controller", overflow="fold", min_width=min(24, longest))
     for heading in headings:
         out.add_column(heading, justify="right", no_wrap=True)
@@ -143,10 +135,8 @@ def shown(study: Study) -> Iterator[Callable[[State], None]]:
 def words(state: State) -> str:
     """Such as "120/2,048 variants, 35.2 a second, 1 min left, 3 rows invalid, 0 failed"."""
     left = f"{span(state.left)} left" if math.isfinite(state.left) else "time left unknown"
-    return (
-        f"{state.done:,}/{state.total:,} variants, {state.rate:.3g} a second, {left}, "
-        f"{state.states['invalid']:,} rows invalid, {state.states['failed']:,} failed"
-    )
+    rows = f"{state.states['invalid']:,} rows invalid, {state.states['failed']:,} failed"
+    return f"{state.done:,}/{state.total:,} variants, {state.rate:.3g} a second, {left}, {rows}"
 
 
 def span(seconds: float) -> str:
