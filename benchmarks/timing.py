@@ -26,8 +26,8 @@ from statistics import median
 
 import numpy as np
 
-from coopqp.base.reading import csv_text
 from coopqp.base.spec import Array
+from coopqp.base.table import csv_text
 from coopqp.controller import Controller
 from coopqp.controllers import PassiveGraspPid, TorqueQp
 from coopqp.execution.controller_run import run

@@ -69,7 +69,7 @@ class KeepApart(Limit):
     """A limit that keeps pairs of bodies at a distance, by dampers."""
 
     name: Name
-    """Your name for it in rows and tables; give it when there are several."""
+    """Yours for it."""
     distance: NonNegative = 0.01
     """Kept free between two that are watched [m]."""
     gain: Positive = 10.0

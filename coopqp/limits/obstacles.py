@@ -84,6 +84,7 @@ class Obstacles(KeepApart):
     """Arms and object keep a distance from things in the world."""
 
     name: Name = "obstacles"
+    """Your name for it in rows and tables; give it when there are several."""
     shapes: Annotated[dict[str, Obstacle], Field(min_length=1)]
     """By your name for it: {box, sphere, cylinder or mesh; position: [m], rpy or rpy_deg}."""
     bodies: tuple[str, ...] | None = None

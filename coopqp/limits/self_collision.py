@@ -39,6 +39,7 @@ class SelfCollision(KeepApart):
     """Arms, torso and object keep a distance from each other."""
 
     name: Name = "self_collision"
+    """Your name for it in rows and tables; give it when there are several."""
     pairs: tuple[NamePair, ...] | None = None
     """Names of bodies, patterns such as *finger*, or "object"; those that can meet if omitted."""
     ignore: tuple[NamePair, ...] = ()

@@ -18,8 +18,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from coopqp.base.errors import CoopqpError
-from coopqp.base.reading import csv_text
 from coopqp.base.spec import Array
+from coopqp.base.table import csv_text
 from coopqp.controller import Command
 from coopqp.execution.controller_run import PhaseRun
 from coopqp.limits import JointAcceleration

@@ -23,8 +23,9 @@ import pinocchio as pin
 
 from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.reading import Table, open_bytes, read_table
+from coopqp.base.reading import open_bytes
 from coopqp.base.spec import Array, array
+from coopqp.base.table import Table, read_table
 from coopqp.execution.controller_run import run
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from coopqp.base.errors import CoopqpError, InternalError, one_line
-from coopqp.base.reading import csv_text
+from coopqp.base.table import csv_text
 from coopqp.base.wording import by_user, raised
 from coopqp.execution.comparison import Comparison
 from coopqp.recordings import csv_file

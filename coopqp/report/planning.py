@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from coopqp.base.errors import CoopqpError
-from coopqp.base.reading import csv_text
+from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
 from coopqp.report import strict_json

@@ -14,8 +14,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
-from coopqp.base.reading import FilePath, read_table
+from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Positive, spec
+from coopqp.base.table import read_table
 from coopqp.base.wording import counted
 from coopqp.model.state import State
 from coopqp.model.trajectory_filter import MotionLimits, TrajectoryFilter

@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.reading import read_table
 from coopqp.base.spec import Array
+from coopqp.base.table import read_table
 from coopqp.base.wording import counted
 from coopqp.closed_loop.forces import StaticHold, contact_notes
 from coopqp.closed_loop.hands import WrenchStack

@@ -16,8 +16,9 @@ import numpy as np
 import coopqp
 from coopqp.assessment.limits import audit
 from coopqp.base.errors import InvalidValueError, require_known, under
-from coopqp.base.reading import FilePath, Table, read_table
+from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
+from coopqp.base.table import Table, read_table
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controller import Controller, ControlProblem
 from coopqp.model.closed_chain import ClosedChain

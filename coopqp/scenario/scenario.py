@@ -21,8 +21,9 @@ from pydantic import Field
 
 from coopqp.assessment.limits import audit
 from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError
-from coopqp.base.reading import Table, absolute
+from coopqp.base.reading import absolute
 from coopqp.base.spec import Array, Name, NonNegative, Pose, Positive, type_name
+from coopqp.base.table import Table
 from coopqp.base.wording import dotted
 from coopqp.closed_loop.forces import contact_faults
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault

@@ -20,8 +20,9 @@ import pinocchio as pin
 from pydantic import BeforeValidator, Field
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.reading import FilePath, read_table
+from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Pose, spec
+from coopqp.base.table import read_table
 from coopqp.grasp import pose_matrix
 from coopqp.signal import (
     Instant,

@@ -15,8 +15,8 @@ from random_ways import random_way
 from scenario_files import needs_robots
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.reading import csv_text
 from coopqp.base.spec import Array, Positive, spec
+from coopqp.base.table import csv_text
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controller import Controller
 from coopqp.controllers import PassiveGraspPid, TorqueQp

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from command_line import typed
 
-from coopqp.base.reading import read_table
+from coopqp.base.table import read_table
 
 
 @pytest.fixture(scope="module")
