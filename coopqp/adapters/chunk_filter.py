@@ -15,6 +15,7 @@ in which the same hands hold are one call of the compiled kernel.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -253,11 +254,13 @@ class ChunkFilter:
         if inside.all() and (np.abs(moves) <= step + ROUNDING).all():
             return wished
 
-        def stepped(last: Array, wish: Array) -> Array:
-            near = np.clip(np.clip(wish, last - step, last + step), 0.0, OPEN)
-            return np.where(np.isfinite(wish), near, last)
+        def stepped(last: float, wish: float) -> float:
+            near = min(max(wish, last - step), last + step)
+            return min(max(near, 0.0), OPEN) if math.isfinite(wish) else last
 
-        return np.array([*itertools.accumulate(wished, stepped, initial=self._grips)][1:])
+        pairs = zip(wished.T.tolist(), self._grips.tolist(), strict=True)
+        steps = [[*itertools.accumulate(x, stepped, initial=last)][1:] for x, last in pairs]
+        return np.array(steps).T
 
     def _follow(
         self, given: Array, q: Array, holding: NDArray[np.bool_], taken: Array | None, *,
