@@ -54,7 +54,7 @@ from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load
 from coopqp.scenario.planned import PlanReference, Way, following, way_tasks
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation.goal import Room
+from coopqp.study.explanation.goal import PositionLimits
 from coopqp.tasks import PointOnPoint
 from coopqp.viewer.explainer import inside
 
@@ -444,8 +444,8 @@ def _way_of(
     What came of it, in words; and the problem that begins where the way does.
     """
     chain, end = problem.chain, max(task.end for task in problem.tasks)
-    room, kind = Room(problem), "from the start"
-    if (np.maximum(room.lower - chain.q_start, chain.q_start - room.upper) > 0.0).any():
+    bounds, kind = PositionLimits(problem), "from the start"
+    if (np.maximum(bounds.lower - chain.q_start, chain.q_start - bounds.upper) > 0.0).any():
         kind = "from where it is stuck, as it began outside its limits"
         chain = chain.moved(inside(problem, q, seed))
         problem = replace(problem, chain=chain)

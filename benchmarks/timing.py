@@ -145,7 +145,7 @@ def measured(robot: str, torque: float, seed: int, python: str) -> Result:
     free = seconds(rows)
     weighted = shared(rows, weighted=True)
     places = np.random.default_rng(seed).uniform(0.0, whole.path.length, 1000)
-    gaps = Loops(scenario.chain).gaps(whole.path.spline(places))
+    gaps = Loops(scenario.chain).errors(whole.path.spline(places))
     return Result(
         robot, seed, free, seconds(weighted),
         seconds(shared(rows, weighted=False)),

@@ -23,6 +23,6 @@ def random_way(chain: ClosedChain, seed: int, count: int = 4, step: float = 0.6)
         for _ in range(6):
             q = loops.project(q + step / 6 * d / np.linalg.norm(d))
         inside = (np.minimum(q - chain.lower, chain.upper - q) > 0.2).all()
-        if inside and loops.gaps(q).max() < 1e-9:
+        if inside and loops.errors(q).max() < 1e-9:
             found.append(q[0])
     raise AssertionError("no way inside the limits")

@@ -14,6 +14,7 @@
 
 using namespace nb::literals;
 
+using KERNEL_MODULE::Columns;
 using KERNEL_MODULE::Engine;
 using KERNEL_MODULE::Following;
 using KERNEL_MODULE::FreeSpace;
@@ -83,6 +84,9 @@ NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<Reading>(m, "Reading")
         .def(nb::init<const Written&, const Joints&, const std::vector<double>&, double>())
         .def("take", &Reading::take);
+    nb::class_<Columns>(m, "Columns")
+        .def(nb::init<const Written&, const Joints&, const Joints&, std::size_t>())
+        .def("add", &Columns::add);
     nb::class_<Ring>(m, "Ring").def(nb::init<const nb::dict&>()).def("add", &Ring::add);
     nb::class_<Samples>(m, "Samples")
         .def(nb::init<const Written&, const Written&, const Joints&, const std::vector<Joints>&, int,

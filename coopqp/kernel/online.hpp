@@ -49,6 +49,15 @@ class Reading {
     double noise_;
 };
 
+// Largest errors of position and of orientation of loops that are open by so much.
+inline void largest(const Numbers& open, double& apart, double& turned) {
+    apart = turned = 0.0;
+    for (std::size_t k = 0; k + 6 <= open.size(); k += 6) {
+        apart = std::max(apart, std::sqrt(coopqp::dot3(open.data() + k, open.data() + k)));
+        turned = std::max(turned, std::sqrt(coopqp::dot3(open.data() + k + 3, open.data() + k + 3)));
+    }
+}
+
 // coopqp.online.loop.History
 class Ring {
   public:
@@ -74,12 +83,7 @@ class Ring {
         std::copy_n(measured.data(), n_, measured_ + i * n_);
         std::copy_n(p_WO.data(), 3, position_ + 3 * i);
         std::copy_n(R_WO.data(), 9, rotation_ + 9 * i);
-        double apart = 0.0, turned = 0.0;
-        for (std::size_t k = 0; k < open.size(); k += 6) {
-            apart = std::max(apart, std::sqrt(coopqp::dot3(open.data() + k, open.data() + k)));
-            turned = std::max(turned, std::sqrt(coopqp::dot3(open.data() + k + 3, open.data() + k + 3)));
-        }
-        apart_[i] = apart, turned_[i] = turned;
+        largest(open, apart_[i], turned_[i]);
         for (std::size_t j = 0; j < n_; j++) setpoint.data()[j] = q.data()[j] + v.data()[j] * dt;
     }
 
@@ -87,6 +91,50 @@ class Ring {
     nb::dict columns_;
     double *clock_, *t_, *q_, *v_, *measured_, *position_, *rotation_, *apart_, *turned_;
     std::size_t rows_, n_;
+};
+
+// coopqp.online.recording.LiveRecording
+class Columns {
+  public:
+    // table: a row for each number and a column for each tick; part k has sizes[k] rows from first[k] on.
+    // open: which part is what the loops are open by; written are its two largest errors.
+    Columns(const Written& table, const std::vector<std::size_t>& first,
+            const std::vector<std::size_t>& sizes, std::size_t open)
+        : table_(table), first_(first), sizes_(sizes), open_(open) {
+        for (std::size_t k = 0; k < first.size(); k++)
+            if (table.ndim() != 2 || first[k] + sizes.at(k) > table.shape(0))
+                throw std::invalid_argument("a part beyond the table");
+    }
+
+    // Column i, from a number for all rows of a part or an array, after which rows are zero; whether
+    // each part is one of these.
+    bool add(std::size_t i, const nb::list& parts) {
+        const std::size_t ticks = table_.shape(1);
+        if (i >= ticks || parts.size() != first_.size()) return false;
+        for (std::size_t k = 0; k < first_.size(); k++) {
+            double* to = table_.data() + first_[k] * ticks + i;
+            const nb::handle part = parts[k];
+            if (PyFloat_Check(part.ptr())) {
+                const double value = PyFloat_AsDouble(part.ptr());
+                for (std::size_t j = 0; j < sizes_[k]; j++) to[j * ticks] = value;
+                continue;
+            }
+            Numbers from;
+            if (!nb::try_cast(part, from)) return false;
+            if (k == open_) {
+                largest(from, to[0], to[ticks]);
+                continue;
+            }
+            for (std::size_t j = 0; j < sizes_[k]; j++)
+                to[j * ticks] = j < from.size() ? from.data()[j] : 0.0;
+        }
+        return true;
+    }
+
+  private:
+    Written table_;
+    std::vector<std::size_t> first_, sizes_;
+    std::size_t open_;
 };
 
 // coopqp.online.following.JointFollowing

@@ -27,14 +27,17 @@ from typing import Any
 import numpy as np
 
 from coopqp.base.errors import CoopqpError, InvalidValueError, needs
-from coopqp.base.spec import Array
 from coopqp.controller import Command, Law
+from coopqp.kernel import native
 from coopqp.model.state import State
 from coopqp.recordings.column import Layout, names, of_field
 from coopqp.recordings.parquet import SUFFIX, arrow_schema
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, written
 
+#: What the loops are open by stands for two fields: its largest errors.
+OPEN = "open"
+ERRORS = ("loop_position", "loop_orientation")
 #: Fields of the table other than time, memory and inputs, as a live loop has them.
 MEASURED: dict[str, Callable[[State, Command], Any]] = {
     "q": lambda state, command: state.q,
@@ -43,9 +46,8 @@ MEASURED: dict[str, Callable[[State, Command], Any]] = {
     "loop_offset": lambda state, command: state.loop_offset,
     "tau": lambda state, command: command.tau,
     "position": lambda state, command: state.p_WO,
-    "rotation": lambda state, command: state.R_WO.ravel(),
-    "loop_position": lambda state, command: state.loop_position_error,
-    "loop_orientation": lambda state, command: state.loop_orientation_error,
+    "rotation": lambda state, command: state.R_WO,
+    OPEN: lambda state, command: state.closed_error,
     "scale": lambda state, command: command.scale,
 }
 
@@ -104,8 +106,8 @@ class LiveRecording:
         without = {"measured"} if start.q_measured is None else set()
         without |= {"tau"} if law.command.tau is None else set()
         fields = {name: of for name, of in MEASURED.items() if name not in without}
-        others = ("t", "memory", "followed", "followed_rate", "tick_us")
-        self._names = names(layout, {*fields, *others})
+        others = ("t", "memory", "followed", "followed_rate", "tick_us", *ERRORS)
+        self._names = names(layout, {*fields, *others} - {OPEN})
         columns = ("controller", "tick", *self._names, "status")
         text = source or scenario.portable
         if self.path.suffix != SUFFIX:
@@ -125,15 +127,18 @@ class LiveRecording:
         self._batch = pa.record_batch(  # over the ring's own memory, but for names and statuses
             [controllers, self._numbered, *self._numbers, controllers], schema=self._schema
         )
-        self._row = np.zeros(len(self._names))
-        self._fields = [(self._view(name, layout), of) for name, of in fields.items()]
-        self._t, self._us = self._view("t", layout), self._view("tick_us", layout)
-        self._v, self._memory = self._view("v", layout), self._view("memory", layout)
-        self._followed = []
-        for name, kind in layout.inputs.items():
-            own = Layout(joints=(), inputs={name: kind})
-            values, rates = self._view("followed", own), self._view("followed_rate", own)
-            self._followed.append((name, values, rates))
+        self._measured, self._inputs = tuple(fields.values()), tuple(layout.inputs)
+        alone = (Layout(joints=(), inputs={name: kind}) for name, kind in layout.inputs.items())
+        parts = [(name, layout) for name in ("t", "tick_us", "memory", *fields)]
+        parts += [(name, own) for own in alone for name in ("followed", "followed_rate")]
+        self._places = [self._place(*part) for part in parts]
+        self._errors, self._v = parts.index((OPEN, layout)), self._place("v", layout)
+        self._memory = np.zeros(len(of_field("memory", layout)))
+        first, sizes = zip(
+            *((part.start, part.stop - part.start) for part in self._places), strict=True
+        )
+        found = native.module()
+        self._quick = found and found.Columns(self._numbers, first, sizes, self._errors).add
         self.begin(start)
         self._alone, self._stop = threading.Lock(), threading.Event()
         self._open()
@@ -141,19 +146,18 @@ class LiveRecording:
         if every > 0.0:
             self._thread.start()
 
-    def _view(self, name: str, layout: Layout) -> Array:
-        """A field's part of the row; its columns are adjacent."""
-        columns = of_field(name, layout)
+    def _place(self, name: str, layout: Layout) -> slice:
+        """Where the columns of a field are, which are adjacent."""
+        columns = ERRORS if name == OPEN else of_field(name, layout)
         first = self._names.index(columns[0]) if columns else 0
-        return self._row[first : first + len(columns)]
+        return slice(first, first + len(columns))
 
     def tick(self, state: State, command: Command, us: float) -> None:
         """Record a tick before the state advances, and its computing time [us]; never waits."""
         tick, i = self._ticks, self._filled % self._capacity
         self._ticks = tick + 1
         if self._filled - self._emptied < self._capacity:
-            self._fill(state, command, us)
-            self._numbers[:, i] = self._row
+            self._write_tick(i, state, command, us)
             self._numbered[i], self._causes[i] = tick, command.causes
             self._filled += 1
         else:
@@ -168,24 +172,27 @@ class LiveRecording:
         """
         self._remember(state)
         self._since = since
-        if self._ticks and not np.array_equal(self._v, state.v):
+        last = self._numbers[self._v, (self._filled - 1) % self._capacity]
+        if self._ticks and not np.array_equal(last, state.v):
             self._ticks += 1
 
     def _remember(self, state: State) -> None:
         kept = state.memory.numbers
         self._memory[: len(kept)], self._memory[len(kept) :] = kept, 0.0
 
-    def _fill(self, state: State, command: Command, us: float) -> None:
-        self._t[0], self._us[0] = self._since + state.t, us
-        for part, of in self._fields:
-            value = of(state, command)
-            if part.shape != np.shape(value) != ():  # another phase, with another number of loops
-                part[:], part = 0.0, part[: len(value)]
-            part[:] = value
-        for name, value, rate in self._followed:
-            followed = state.inputs.get(name)
-            value[:] = np.nan if followed is None else followed.value
-            rate[:] = np.nan if followed is None else followed.rate
+    def _write_tick(self, i: int, state: State, command: Command, us: float) -> None:
+        values = [self._since + state.t, us, self._memory]
+        values += [of(state, command) for of in self._measured]
+        for followed in map(state.inputs.get, self._inputs):
+            values += (np.nan, np.nan) if followed is None else (followed.value, followed.rate)
+        if self._quick and self._quick(i, values):
+            return
+        values[self._errors] = np.array([state.loop_position_error, state.loop_orientation_error])
+        for place, value in zip(self._places, values, strict=True):
+            part, value = self._numbers[place, i], np.asarray(value, float)
+            if value.ndim:  # another phase may have another number of loops
+                part[:], part = 0.0, part[: value.size]
+            part[:] = value.ravel() if value.ndim else value
 
     def flush(self) -> None:
         """Write what is new; a thread does it by itself."""

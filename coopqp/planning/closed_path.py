@@ -41,7 +41,7 @@ from coopqp.task import Task
 from coopqp.tasks import Pose
 from coopqp.trace import Trace
 
-#: Largest gap of the loops between knots [m, rad].
+#: Largest loop error between knots [m, rad].
 CLOSED = 1e-5
 #: Of given points: ten times the verdict's, as planners and loggers round.
 GIVEN_POSITION, GIVEN_ORIENTATION = 10.0 * CLOSED_POSITION, 10.0 * CLOSED_ORIENTATION
@@ -115,15 +115,15 @@ class Loops:
                 found[k, i] = pin.getFrameClassicalAcceleration(model, data, frame, axes).vector
         return found
 
-    def gaps(self, Q: Array) -> Array:
-        """Largest gap of position [m] and of orientation [rad] at each, shape (N, 2)."""
+    def errors(self, Q: Array) -> Array:
+        """Largest loop error of position [m] and of orientation [rad] at each, shape (N, 2)."""
         e = _errors(self.at(Q, jacobians=False)).reshape(len(Q), -1, 2, 3)
         return np.asarray(np.linalg.norm(e, axis=-1).max(axis=1, initial=0.0), float)
 
     def opened(self, Q: Array) -> float:
         """How far straight steps from tick to tick open them, over what counts as closed."""
-        gaps = self.gaps(2.0 * Q[1:-1] - Q[:-2]) / (LOOP_CLOSED, LOOP_CLOSED_ANGLE)
-        return float(gaps.max(initial=0.0))
+        errors = self.errors(2.0 * Q[1:-1] - Q[:-2]) / (LOOP_CLOSED, LOOP_CLOSED_ANGLE)
+        return float(errors.max(initial=0.0))
 
     def project(self, Q: Array) -> Array:
         """The same with the loops closed, by Newton steps of least norm."""
@@ -204,7 +204,7 @@ class ClosedPath:
     chain: ClosedChain
     length: float  # s runs from 0 to it
     spline: Any  # of scipy, q by s
-    gap: float  # largest gap of the loops at ten places an interval [m]
+    loop_error: float  # largest one at ten places an interval [m]
     deviation: float  # farthest that a given point is from the path [rad, m]
     points: Array  # s of the given points, shape (N,)
 
@@ -251,18 +251,18 @@ def closed_path(chain: ClosedChain, points: Array, spacing: float = SPACING) -> 
         spline = _spline(at, knots, 5)
         fine = np.linspace(0.0, length, FINER * intervals + 1)
         Q_fine = spline(fine)
-        gaps = loops.gaps(Q_fine).max(axis=1, initial=0.0)
-        if gaps.max(initial=0.0) < CLOSED and _beyond(chain, Q_fine).max() < CUT:
+        errors = loops.errors(Q_fine).max(axis=1, initial=0.0)
+        if errors.max(initial=0.0) < CLOSED and _beyond(chain, Q_fine).max() < CUT:
             break
         intervals *= 2
-    if gaps.max(initial=0.0) > CLOSED:
-        k = int(gaps.argmax())
+    if errors.max(initial=0.0) > CLOSED:
+        k = int(errors.argmax())
         raise InvalidValueError(
-            f"path: {_between(way, fine[k])}: the loops stand open by {1e3 * gaps[k]:.2g} mm or "
+            f"path: {_between(way, fine[k])}: the loops stand open by {1e3 * errors[k]:.2g} mm or "
             "mrad however near the knots are; the arms may be stretched there, so lead it past"
         )
     deviation = float(np.linalg.norm(spline(way) - Q, axis=1).max())
-    path = ClosedPath(chain, length, spline, float(gaps.max(initial=0.0)), deviation, way)
+    path = ClosedPath(chain, length, spline, float(errors.max(initial=0.0)), deviation, way)
     _refuse_outside(chain, Q_fine, CUT, lambda k: _between(way, fine[k]))
     return path
 
@@ -272,8 +272,8 @@ def still_path(chain: ClosedChain, q: Array, length: float) -> ClosedPath:
     s = np.linspace(0.0, length, MIN_INTERVALS)
     spline = _spline(s, np.zeros((MIN_INTERVALS, len(q))), 5)
     spline.c[:] = q
-    gap = float(Loops(chain).gaps(q[None]).max())
-    return ClosedPath(chain, length, spline, gap, 0.0, s[[0, -1]])
+    error = float(Loops(chain).errors(q[None]).max())
+    return ClosedPath(chain, length, spline, error, 0.0, s[[0, -1]])
 
 
 def _spline(s: Array, Q: Array, degree: int) -> Any:
@@ -293,12 +293,13 @@ def _checked(chain: ClosedChain, loops: Loops, points: Array) -> Array:
         if wrong := chain.unusable(q):
             raise InvalidValueError(f"path: point {k}: {wrong}")
     _refuse_outside(chain, Q, BEYOND, "point {}".format)
-    gaps = loops.gaps(Q)
-    k = int((gaps / (GIVEN_POSITION, GIVEN_ORIENTATION)).max(axis=1).argmax())
-    if gaps[k, 0] > GIVEN_POSITION or gaps[k, 1] > GIVEN_ORIENTATION:
+    errors = loops.errors(Q)
+    k = int((errors / (GIVEN_POSITION, GIVEN_ORIENTATION)).max(axis=1).argmax())
+    if errors[k, 0] > GIVEN_POSITION or errors[k, 1] > GIVEN_ORIENTATION:
+        apart, turned = 1e3 * errors[k]
         raise InvalidValueError(
-            f"path: point {k}: the loops are not closed: hands stand {1e3 * gaps[k, 0]:.2g} mm and "
-            f"{1e3 * gaps[k, 1]:.2g} mrad apart, needs {1e3 * GIVEN_POSITION:g} and "
+            f"path: point {k}: the loops are not closed: hands stand {apart:.2g} mm and "
+            f"{turned:.2g} mrad apart, needs {1e3 * GIVEN_POSITION:g} and "
             f"{1e3 * GIVEN_ORIENTATION:g}; is it a path of this scenario, with its start?"
         )
     return Q

@@ -29,7 +29,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.planning.closed_path import Loops, lengths, on_lines
 from coopqp.planning.linking import ClosedLine, closed_line
-from coopqp.study.explanation.goal import Room
+from coopqp.study.explanation.goal import PositionLimits
 from coopqp.task import Programs, Task, TaskStack
 
 LARGE = 1e300  # stands for no limit
@@ -78,7 +78,7 @@ class ClosedSpace:
         threads: that bring configurations to the manifold; their number changes no result.
 
     Attributes:
-        room: the position limits.
+        bounds: the position limits.
         lower, upper: of the joints, shape (n,) [rad, m].
         programs: of the limits, as the kernel has them, and ``distances``, those of bodies.
         others: whether limits in space that are no distances are kept at q; None without any.
@@ -98,10 +98,10 @@ class ClosedSpace:
         tasks = tuple(task.at_goal() for task in tasks)  # the kernel has not every profile
         self._tasks, self._t = tasks, t
         programs = self.programs = [limit.program(chain, problem.dt) for limit in problem.limits]
-        room = self.room = Room(problem, programs)
-        room.lower = np.maximum(room.lower, chain.lower)  # verdicts look at ranges in any case
-        room.upper = np.minimum(room.upper, chain.upper)
-        self.lower, self.upper = np.maximum(room.lower, -LARGE), np.minimum(room.upper, LARGE)
+        bounds = self.bounds = PositionLimits(problem, programs)
+        bounds.lower = np.maximum(bounds.lower, chain.lower)  # verdicts look at ranges in any case
+        bounds.upper = np.minimum(bounds.upper, chain.upper)
+        self.lower, self.upper = np.maximum(bounds.lower, -LARGE), np.minimum(bounds.upper, LARGE)
         self.distances = [program for program in programs if isinstance(program, DistanceBounds)]
         self.others = _others(problem, programs)
         levels = Levels([Group((), hard=tasks)], Programs(State(chain)))
@@ -275,7 +275,7 @@ class Verifier:
 
     def __init__(self, space: ClosedSpace) -> None:
         chain = self._chain = space.chain
-        self._loops, self._room, self._others = Loops(chain), space.room, space.others
+        self._loops, self._bounds, self._others = Loops(chain), space.bounds, space.others
         self._data, margins = chain.model.createData(), list[float]()
         geometry = pin.GeometryModel()
         for bounds in space.distances:
@@ -299,10 +299,10 @@ class Verifier:
 
     def look(self, q: Array, every: float) -> Verification:
         """Look at a path q, shape (K, n), each so many radians or metres."""
-        points, room = along(q, every), self._room
+        points, bounds = along(q, every), self._bounds
         hits = sum(not self.free(row) for row in points)
-        opened = self._loops.gaps(points).max(initial=0.0)
-        beyond = np.maximum(points - room.upper, room.lower - points).max(initial=0.0)
+        opened = self._loops.errors(points).max(initial=0.0)
+        beyond = np.maximum(points - bounds.upper, bounds.lower - points).max(initial=0.0)
         return Verification(len(points), float(opened), float(beyond), hits)
 
     def free(self, q: Array) -> bool:

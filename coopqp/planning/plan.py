@@ -218,7 +218,7 @@ class Planner:
 
     def _check_start(self, kept: Sequence[Task]) -> None:
         q, space = self.chain.q_start, self.space
-        outside = np.maximum(space.room.lower - q, q - space.room.upper)
+        outside = np.maximum(space.bounds.lower - q, q - space.bounds.upper)
         if outside.max(initial=0.0) > 0.0:
             joint = self.chain.joint_names[int(outside.argmax())]
             raise InvalidValueError(
@@ -233,8 +233,8 @@ class Planner:
         if self._off(q[None])[0] > FAR:
             raise InvalidValueError("start: the loops are not closed there").at("start")
         if not space.is_free(q[None])[0]:
-            clearance = space.room.at(q)
-            row = space.room.rows[int(clearance.argmin())]
+            clearance = space.bounds.at(q)
+            row = space.bounds.rows[int(clearance.argmin())]
             raise InvalidValueError(
                 f"start: {row.label} is {-1e3 * clearance.min():.2f} mm less than its limit keeps; "
                 "move the start, or let the limit keep less"
@@ -338,8 +338,8 @@ class Planner:
         found = np.array(goals.solutions)
         found = found[self._off(found) < MET]  # which keep what is to be kept
         away = np.linalg.norm(found - self.chain.q_start, axis=1)
-        room = self.space.room
-        margin = np.minimum(found - room.lower, room.upper - found).min(axis=1, initial=OFF)
+        bounds = self.space.bounds
+        margin = np.minimum(found - bounds.lower, bounds.upper - found).min(axis=1, initial=OFF)
         return np.asarray(found[np.lexsort((away, margin < OFF))], float)
 
     def _off(self, q: Array) -> Array:

@@ -210,8 +210,8 @@ def explained(goals: Goals) -> str:
         )
     goal, space = goals.goal, goals.space
     q = space.chain.q_start
-    missed = goal.missed(Search(goal, space.room).from_(q).q)
-    found = diagnose(goal, space.room, q)
+    missed = goal.missed(Search(goal, space.bounds).from_(q).q)
+    found = diagnose(goal, space.bounds, q)
     place = found.elsewhere if isinstance(found, BlockedByLimits) else getattr(found, "place", None)
     if place:
         goals.take(place.q[None].copy())
@@ -234,8 +234,10 @@ def described(goals: Goals) -> tuple[Configuration, ...]:
     bends = _bends(space.chain, found)
     all_of_them = []
     for i, (q, bend) in enumerate(zip(found, bends, strict=True)):
-        joints = float(np.minimum(q - space.room.lower, space.room.upper - q).min(initial=np.inf))
-        clearance = float(space.room.at(q).min(initial=np.inf))
+        joints = float(
+            np.minimum(q - space.bounds.lower, space.bounds.upper - q).min(initial=np.inf)
+        )
+        clearance = float(space.bounds.at(q).min(initial=np.inf))
         all_of_them.append(Configuration(q, joints, clearance, bend, i >= len(goals.solutions)))
     best: dict[str, float] = {}
     for one in all_of_them:

@@ -132,7 +132,8 @@ class TimedPath:
             "a contact or the internal wrench.",
             f"Looked at in {BETWEEN} places of each of {len(self.profile.u)} intervals, a limit is "
             f"used to {100.0 * self.exceeded:.2f} % at most, and the loops stand open by "
-            f"{1e3 * path.gap:.1g} mm; the path is up to {path.deviation:.1g} rad from the points.",
+            f"{1e3 * path.loop_error:.1g} mm; "
+            f"the path is up to {path.deviation:.1g} rad from the points.",
             *self.notes,
         ]
 

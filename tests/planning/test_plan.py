@@ -28,7 +28,7 @@ from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load, load_text
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.study.explanation import RunExplanation, explain_run
-from coopqp.study.explanation.goal import Goal, Room, placed
+from coopqp.study.explanation.goal import Goal, PositionLimits, placed
 from coopqp.tasks import PlaneOnPlane, PointOnPlane, PointOnPoint, Twist
 
 pytestmark = [needs_kernel, needs_robots]
@@ -50,13 +50,13 @@ def test_reach_finds_configurations_that_meet_the_tasks_inside_all_limits(
     shelves: Scenario,
 ) -> None:
     found, problem = reach(shelves), shelves.problem()
-    goal, room = Goal(problem.chain, problem.tasks, shelves.duration), Room(problem)
+    goal, bounds = Goal(problem.chain, problem.tasks, shelves.duration), PositionLimits(problem)
     assert found.solutions
     assert not found.proven
     for one in found.solutions:
         assert not goal.missed(one.q)
         assert goal.open < 1e-8
-        assert room.violation(one.q) < 1e-6  # by coal, which rounds more
+        assert bounds.violation(one.q) < 1e-6  # by coal, which rounds more
         assert one.joint_margin >= 0.0
         assert one.clearance > -1e-6
     assert sum(map(len, found.groups.values())) == len(found.solutions)
@@ -127,7 +127,7 @@ def test_a_plan_in_time_keeps_speeds_and_accelerations(shelves: Scenario, way: P
 
 def test_the_second_look_sees_what_is_wrong(shelves: Scenario, way: Plan) -> None:
     problem = shelves.problem()
-    room, verifier = Room(problem), Verifier(ClosedSpace(problem))
+    bounds, verifier = PositionLimits(problem), Verifier(ClosedSpace(problem))
     assert verifier.look(way.q, 0.01).good
     straight = np.linspace(way.q[0], way.q[-1], 500)
     found = verifier.look(straight, 0.01)
@@ -135,7 +135,7 @@ def test_the_second_look_sees_what_is_wrong(shelves: Scenario, way: Plan) -> Non
     assert "a loop is open by" in found.message
     assert not verifier.look(way.q[::40], 0.01).good  # straight lines open the loops
     beyond = way.q.copy()
-    beyond[7, 3] = room.upper[3] + 0.1
+    beyond[7, 3] = bounds.upper[3] + 0.1
     assert "outside its limits" in verifier.look(beyond, 0.001).message
 
 
@@ -153,9 +153,9 @@ def test_the_second_look_sees_bodies_in_each_other(shelves: Scenario, way: Plan)
 
 def test_goals_off_the_limits_of_joints_come_before_nearer_ones() -> None:
     problem = load("tiago_torso").problem()
-    room = Room(problem)
+    bounds = PositionLimits(problem)
     end = plan(load("tiago_torso"), budget=AMPLE).q[-1]
-    assert np.minimum(end - room.lower, room.upper - end).min() > OFF
+    assert np.minimum(end - bounds.lower, bounds.upper - end).min() > OFF
 
 
 def test_where_no_way_leads_to_the_nearest_goals_further_ones_are_tried(
@@ -211,7 +211,7 @@ def test_a_start_beyond_a_limit_or_in_something_is_refused(shelves: Scenario) ->
     problem = shelves.problem()
     q = problem.chain.q_start
     planner = Planner(problem, shelves.duration)
-    planner.space.room.upper[3] = q[3] - 0.1
+    planner.space.bounds.upper[3] = q[3] - 0.1
     with pytest.raises(CoopqpError, match=r"start: left/panda_joint4 is 0\.1 outside its limits"):
         planner._check_start(())
     (obstacles,) = (limit for limit in shelves.limits if isinstance(limit, Obstacles))

@@ -36,7 +36,7 @@ from coopqp.scenario.loader import load
 from coopqp.solver import Budget
 from coopqp.study.explanation import explain_run, insufficient_time, words
 from coopqp.study.explanation.explained_phase import explained_phases, widen
-from coopqp.study.explanation.goal import Room, Share
+from coopqp.study.explanation.goal import PositionLimits, Share
 from coopqp.task import TaskRows
 from coopqp.tasks import Twist
 
@@ -140,15 +140,15 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
     slab = Obstacle(box=(0.4, 0.4, 0.05), position=(x, y, z))
     limits = (*like.limits, Obstacles(shapes={"slab": slab}, bodies=("object",)))
     phase = next(explained_phases(replace(like, limits=limits), run(like, controller="qp")))
-    room = Room(phase.problem)
+    bounds = PositionLimits(phase.problem)
     corner = next(row for row in limits[-1].rows(like.chain) if "corner" in row.name)
-    told = insufficient_time._with_nearest_pair(Share(corner, 1.0), room, like.chain.q_start)
+    told = insufficient_time._with_nearest_pair(Share(corner, 1.0), bounds, like.chain.q_start)
     pose, half = State(like.chain), 0.5 * np.array(like.held.size)
     d = z - 0.025 - pose.p_WO[2] - np.abs(pose.R_WO[2]) @ half  # the slab is level
     assert told.row.bodies == ("object", "slab")
     assert told.row.label == f"the distance of object and slab ({1e3 * d:.1f} mm)"
-    joint = Share(next(iter(room.sides.values())), 1.0)
-    assert insufficient_time._with_nearest_pair(joint, room, like.chain.q_start) is joint
+    joint = Share(next(iter(bounds.sides.values())), 1.0)
+    assert insufficient_time._with_nearest_pair(joint, bounds, like.chain.q_start) is joint
 
 
 def test_joint_values_that_are_told_close_the_loops() -> None:

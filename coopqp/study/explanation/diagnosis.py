@@ -26,7 +26,15 @@ from coopqp.base.rank import independent_rows, matrix_rank, null_space
 from coopqp.base.spec import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
 from coopqp.study.explanation import goal as geometry
-from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Search, Share, shares
+from coopqp.study.explanation.goal import (
+    Goal,
+    PartOfTask,
+    Place,
+    PositionLimits,
+    Search,
+    Share,
+    shares,
+)
 from coopqp.task import Task
 
 T = TypeVar("T")
@@ -171,31 +179,31 @@ Unreachable = Elsewhere | Contradiction | TooFewFreedoms | TooFar
 Diagnosis = NotBlocked | BlockedByLimits | Unreachable
 
 
-def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
+def diagnose(goal: Goal, bounds: PositionLimits, q: Array) -> Diagnosis:
     """Which geometric cause keeps tasks that have a place from their goal at q."""
-    inside, free = Search(goal, room), Search(goal)
+    inside, free = Search(goal, bounds), Search(goal)
     at = inside.from_(q)
     if at.reached:
         return NotBlocked(at)
     near = free.from_(at.q)
     place = near if near.reached else free.best(at.q)
     if place.reached:
-        held, other = _held_back(goal, room, at.q), inside.best(at.q)
-        if other.reached and not (near.reached and room.violation(near.q) > BEYOND):
+        held, other = _held_back(goal, bounds, at.q), inside.best(at.q)
+        if other.reached and not (near.reached and bounds.violation(near.q) > BEYOND):
             return Elsewhere(held, other)
         return BlockedByLimits(held, at, place.q, other if other.reached else None)
     contradiction = _contradiction(goal, at.q)
     if len(contradiction.tasks) > 1:
         return contradiction
     alone = goal.only(contradiction.tasks)
-    return _too_few(alone, at.q) or _unreachable(alone, room, q)
+    return _too_few(alone, at.q) or _unreachable(alone, bounds, q)
 
 
-def _held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
+def _held_back(goal: Goal, bounds: PositionLimits, q: Array) -> tuple[Share, ...]:
     goal.look(q)
     Z = null_space(goal.state.J_loop)
     pull = -Z.T @ goal.stack.J.T @ (goal.weights * goal.stack.e)
-    return shares(geometry.forces(pull, Z, room.at_bound(q)))
+    return shares(geometry.forces(pull, Z, bounds.at_bound(q)))
 
 
 def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
@@ -219,8 +227,8 @@ def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
     return TooFewFreedoms(goal.tasks, int(requested), left)
 
 
-def _unreachable(goal: Goal, room: Room, q: Array) -> TooFar:
-    inside, free = Search(goal, room), Search(goal)
+def _unreachable(goal: Goal, bounds: PositionLimits, q: Array) -> TooFar:
+    inside, free = Search(goal, bounds), Search(goal)
     at = inside.from_(q)
     here, best = free.from_(at.q), free.best(at.q)
     if not here.valid:
@@ -236,7 +244,7 @@ def _unreachable(goal: Goal, room: Room, q: Array) -> TooFar:
         gap=-here.e[part.rows],
         nearest=here,
         cost=cost if worth_telling else 0.0,
-        shares=_held_back(goal, room, at.q) if worth_telling else (),
+        shares=_held_back(goal, bounds, at.q) if worth_telling else (),
         elsewhere=best if nearer else None,
         in_world=_in_world(goal, part, here.q),
     )

@@ -39,7 +39,15 @@ from coopqp.solver import Status, causes_of
 from coopqp.study.explanation import goal as geometry
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import BlockedByLimits
-from coopqp.study.explanation.goal import Goal, Missed, Room, Search, Share, parts_of, placed
+from coopqp.study.explanation.goal import (
+    Goal,
+    Missed,
+    PositionLimits,
+    Search,
+    Share,
+    parts_of,
+    placed,
+)
 from coopqp.study.explanation.words import Needed, RunExplanation
 from coopqp.task import Level, Task
 from coopqp.trace import InputTrace, Trace, followed
@@ -76,8 +84,8 @@ class ExplainedPhase:
         return len(self.v) * self.problem.dt
 
     @cached_property
-    def room(self) -> Room:
-        return Room(self.problem)
+    def bounds(self) -> PositionLimits:
+        return PositionLimits(self.problem)
 
     @property
     def stands_still(self) -> str:
@@ -225,13 +233,13 @@ class Violation:
     limit: Limit | None = None  # in space; None for a joint's
 
 
-def violations_along(room: Room, qs: Array) -> list[Violation]:
+def violations_along(bounds: PositionLimits, qs: Array) -> list[Violation]:
     """The largest violation of each limit along configurations, shape (T, n)."""
-    slack, violations = np.array([room.slack(q) for q in qs]), []
-    for owner in np.unique(room.owners).tolist():
-        own = np.flatnonzero(room.owners == owner)
-        row = room.all_rows[own[slack[-1, own].argmin()]]
-        limit = room.limits[owner - len(room.sides)] if owner >= len(room.sides) else None
+    slack, violations = np.array([bounds.slack(q) for q in qs]), []
+    for owner in np.unique(bounds.owners).tolist():
+        own = np.flatnonzero(bounds.owners == owner)
+        row = bounds.all_rows[own[slack[-1, own].argmin()]]
+        limit = bounds.limits[owner - len(bounds.sides)] if owner >= len(bounds.sides) else None
         violations.append(Violation(row, float(-slack[:, own].min()), limit))
     return [violation for violation in violations if violation.amount > NOTHING]
 
@@ -243,9 +251,9 @@ def _cost(row: Row) -> float:
 class _Programs:
     """The linear programs whose steps lead to a minimal violation."""
 
-    def __init__(self, goal: Goal, room: Room) -> None:
-        self._goal, self._room = goal, room
-        costs = dict(zip(room.owners.tolist(), map(_cost, room.all_rows), strict=True))
+    def __init__(self, goal: Goal, bounds: PositionLimits) -> None:
+        self._goal, self._bounds = goal, bounds
+        costs = dict(zip(bounds.owners.tolist(), map(_cost, bounds.all_rows), strict=True))
         self._costs = list(costs.values())
 
     def shrink(self, start: Array) -> list[Violation] | None:
@@ -264,15 +272,15 @@ class _Programs:
                 q, merit, step = trial, trial_merit, min(STEP, step / SHRINK)
             else:
                 step *= SHRINK
-        return violations_along(self._room, q[None])
+        return violations_along(self._bounds, q[None])
 
     def _step(self, q: Array, max_step: float) -> Array | None:
-        room, (C, r) = self._room, self._equalities(q)
+        bounds, (C, r) = self._bounds, self._equalities(q)
         U, values, Vt = np.linalg.svd(C, full_matrices=False)
         kept = int((values > CUT).sum())
         equal = Vt[:kept], -(U[:, :kept].T @ r) / values[:kept]
-        limits = room.ways(q), room.slack(q)
-        relaxed = geometry.least_relaxation(equal, limits, room.owners, self._costs, max_step)
+        limits = bounds.ways(q), bounds.slack(q)
+        relaxed = geometry.least_relaxation(equal, limits, bounds.owners, self._costs, max_step)
         return relaxed and relaxed[0]
 
     def _back(self, q: Array) -> Array:
@@ -292,7 +300,7 @@ class _Programs:
         """Violation and residual of the equalities; the latter in tolerances as well."""
         off, goal = np.abs(self._equalities(q)[1]).sum(), self._goal
         violations = np.zeros(len(self._costs))
-        np.maximum.at(violations, self._room.owners, -self._room.slack(q))
+        np.maximum.at(violations, self._bounds.owners, -self._bounds.slack(q))
         return float(violations @ self._costs + OFF * off), max(goal.miss, goal.open / 1e-4)
 
 
@@ -314,7 +322,7 @@ def by_geometry(
     phase: ExplainedPhase, goal: Goal, blocked: BlockedByLimits, report: Callable[[float], None]
 ) -> SuggestedRelaxation | None:
     """Relaxations where limits keep a phase from its goal; None where none were found."""
-    needs = minimal_relaxations(goal, phase.room, blocked)
+    needs = minimal_relaxations(goal, phase.bounds, blocked)
     report(0.5)
     first = _tried(phase, needs, goal)
     if first and first.reached:
@@ -340,10 +348,12 @@ def by_rerun(phase: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | 
         free = rerun(phase, longer=True, limits=limits)
     if free.missed:
         return None
-    return _tried(phase, _rounded(violations_along(phase.room, free.q)), goal)
+    return _tried(phase, _rounded(violations_along(phase.bounds, free.q)), goal)
 
 
-def minimal_relaxations(goal: Goal, room: Room, blocked: BlockedByLimits) -> tuple[Violation, ...]:
+def minimal_relaxations(
+    goal: Goal, bounds: PositionLimits, blocked: BlockedByLimits
+) -> tuple[Violation, ...]:
     """The smallest found from the configuration at the goal, and from others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
     starts = [blocked.start]
@@ -351,7 +361,7 @@ def minimal_relaxations(goal: Goal, room: Room, blocked: BlockedByLimits) -> tup
         other = search.from_(blocked.start + rng.normal(scale=geometry.NEAR, size=goal.chain.n))
         if other.reached:
             starts.append(other.q)
-    programs = _Programs(goal, room)
+    programs = _Programs(goal, bounds)
     minima = [minimum for q in starts if (minimum := programs.shrink(q)) is not None]
     fewest = min(
         minima, key=lambda all_: sum(one.amount * _cost(one.row) for one in all_), default=[]

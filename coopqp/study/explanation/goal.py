@@ -50,7 +50,7 @@ AT_BOUND = 1e-4
 IDLE = 0.01
 
 
-class Room:
+class PositionLimits:
     """The position limits of a problem, with the programs of the limits where these are known.
 
     Attributes:
@@ -367,19 +367,19 @@ class Place:
 class Search:
     """Searches for one goal, inside the limits where they are given."""
 
-    def __init__(self, goal: Goal, room: Room | None = None) -> None:
+    def __init__(self, goal: Goal, bounds: PositionLimits | None = None) -> None:
         n = goal.chain.n
-        self.goal, self.room = goal, room if room and room.rows else None
-        self._violation = room.violation if room else lambda q: 0.0
+        self.goal, self.bounds = goal, bounds if bounds and bounds.rows else None
+        self._violation = bounds.violation if bounds else lambda q: 0.0
         far = np.full(n, np.inf)
-        self._bounds = (room.lower, room.upper) if room else (-far, far)
-        self._steps = BoundedSteps(n, len(room.rows) if room else 0)
+        self._box = (bounds.lower, bounds.upper) if bounds else (-far, far)
+        self._steps = BoundedSteps(n, len(bounds.rows) if bounds else 0)
         self._root = np.sqrt(goal.weights)
         tolerances = [p.part.tolerance for p in goal.parts for _ in range(p.part.rows)]
         self._small = ENOUGH * np.array(tolerances) * self._root
 
     def from_(self, q: Array) -> Place:
-        x = np.clip(q, *self._bounds)
+        x = np.clip(q, *self._box)
         for weight in STAGES:
             self._down(x, weight)
         goal = self.goal
@@ -411,26 +411,26 @@ class Search:
         return rng.uniform(low, high)
 
     def _down(self, x: Array, weight: float) -> None:
-        goal, room, heavy, k = self.goal, self.room, np.sqrt(weight), len(self._root)
+        goal, bounds, heavy, k = self.goal, self.bounds, np.sqrt(weight), len(self._root)
         small, closed = self._small, 0.1 * CLOSED * heavy
 
         def residual(q: Array) -> tuple[Array, Array]:
             goal.look(q)
             r = [self._root * goal.stack.e, heavy * goal.state.e_loop]
             J = [self._root[:, None] * goal.stack.J, heavy * goal.state.J_loop]
-            if room:
-                rooms, way = room.both(q)
-                r.append(heavy * np.minimum(rooms, 0.0))
-                J.append(heavy * np.where(rooms[:, None] < 0.0, way, 0.0))
+            if bounds:
+                clearances, way = bounds.both(q)
+                r.append(heavy * np.minimum(clearances, 0.0))
+                J.append(heavy * np.where(clearances[:, None] < 0.0, way, 0.0))
             return np.concatenate(r), np.vstack(J)
 
         def keep(q: Array) -> tuple[Array, Array]:
-            assert room
-            rooms, way = room.both(q)
-            return -way, np.where(rooms >= 0.0, rooms, 1e6)
+            assert bounds
+            clearances, way = bounds.both(q)
+            return -way, np.where(clearances >= 0.0, clearances, 1e6)
 
         def enough(r: Array) -> bool:
             return bool((np.abs(r[:k]) <= small).all() and np.abs(r[k:]).max(initial=0) <= closed)
 
         stop = Stop(STEPS, STEP, enough)
-        self._steps.descend(x, residual, self._bounds, stop, keep if room else None)
+        self._steps.descend(x, residual, self._box, stop, keep if bounds else None)

@@ -22,7 +22,14 @@ from coopqp.solver import Status
 from coopqp.study.explanation import explained_phase, tick, words
 from coopqp.study.explanation.diagnosis import TooFar
 from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
-from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share, least_relaxation
+from coopqp.study.explanation.goal import (
+    Goal,
+    PartOfTask,
+    Place,
+    PositionLimits,
+    Share,
+    least_relaxation,
+)
 from coopqp.study.explanation.tick import PhaseTicks, held_up, relaxed, speed_share
 from coopqp.study.explanation.words import RunExplanation
 from coopqp.task import Task, level_of
@@ -58,7 +65,7 @@ def explain(
     if given_way := _gives_way(phase, goal, base):
         return given_way
     limits = () if torques else held_up(phase)
-    held = tuple(_with_nearest_pair(share, phase.room, phase.q[-1]) for share in limits)
+    held = tuple(_with_nearest_pair(share, phase.bounds, phase.q[-1]) for share in limits)
     slow = speed_share(held) > MOSTLY
     if not slow and (waits := _waits_for_measured(phase)):
         return base.because("speed", waits, tried=True)
@@ -155,9 +162,9 @@ def _rests(phase: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
     return f"{why} although this is inside the limits: {at}"
 
 
-def _with_nearest_pair(share: Share, room: Room, q: Array) -> Share:
+def _with_nearest_pair(share: Share, bounds: PositionLimits, q: Array) -> Share:
     """With the nearest pair of bodies and its distance, where these hold it up."""
-    pairs = zip(room.at(q).tolist(), room.rows, strict=True)
+    pairs = zip(bounds.at(q).tolist(), bounds.rows, strict=True)
     own = [(left, row) for left, row in pairs if row.owner == share.row.owner and row.bodies]
     if not own:
         return share

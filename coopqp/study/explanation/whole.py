@@ -25,7 +25,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.study.explanation import diagnosis, explained_phase, insufficient_time, words
 from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.goal import Goal, Room, Search, placed
+from coopqp.study.explanation.goal import Goal, PositionLimits, Search, placed
 from coopqp.study.explanation.tick import relaxed
 from coopqp.study.explanation.words import MissedPart, RunExplanation, listed
 from coopqp.task import Task
@@ -113,7 +113,7 @@ def _gave_way(phase: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
         if part.task.name in answer.tasks:
             continue
         alone = placed([part.task], goal.chain)
-        free = alone and Search(goal.only(alone), phase.room).best(phase.q[-1]).reached
+        free = alone and Search(goal.only(alone), phase.bounds).best(phase.q[-1]).reached
         far = words.size(error, part.part.unit)
         because = " because of that" if free else ""
         yield f"{part.name}, which comes after {first}, ends {far} off{because}"
@@ -161,7 +161,7 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
         return base.because("way", why)
     if not places:
         return base.because("unplaced", "it asks for no place")
-    cause = diagnosis.diagnose(goal, phase.room, phase.q[-1])
+    cause = diagnosis.diagnose(goal, phase.bounds, phase.q[-1])
     report(0.4)
     if isinstance(cause, diagnosis.NotBlocked):
         if velocities:
@@ -313,8 +313,8 @@ def explain_standing(
     missed = goal.missed(q)
     if not missed:
         return Standing(True, False, "at every goal" if goal.parts else "")
-    short, room = words.stops_short(*missed[0]), Room(problem)
-    cause = diagnosis.diagnose(goal, room, q)
+    short, bounds = words.stops_short(*missed[0]), PositionLimits(problem)
+    cause = diagnosis.diagnose(goal, bounds, q)
     if isinstance(cause, diagnosis.NotBlocked):
         return Standing(False, False, f"{short}; it can be reached from here")
     if not isinstance(cause, diagnosis.BlockedByLimits):
@@ -325,7 +325,7 @@ def explain_standing(
         part, error = nearest[0]
         short = f"{part.name} gets no nearer than {words.size(error, part.part.unit)}"
     parts = [short, words.holding(cause.shares)]
-    if needs := explained_phase.minimal_relaxations(goal, room, cause):
+    if needs := explained_phase.minimal_relaxations(goal, bounds, cause):
         parts.append(f"to reach the goal, relax {explained_phase.needed(needs)} (not tried)")
     if cause.elsewhere:
         parts.append(words.elsewhere(cause.elsewhere, chain))
