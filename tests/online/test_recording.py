@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,34 @@ def test_every_tick_is_repeated_bit_for_bit(scenario: Scenario, law: Law, tmp_pa
     for tick in (0, 200):
         own = recorded_tick(path, scenario, "qp", tick)
         assert recorded_tick(exported, scenario, "qp", tick) == own
+
+
+def test_a_tick_is_written_the_same_without_the_kernel(
+    scenario: Scenario, law: Law, tmp_path: Path
+) -> None:
+    """Also one with a number that is no float; errors are equal but for rounding."""
+    state = law.start(q_measured=scenario.chain.q_start)
+    paths = [tmp_path / f"{name}.arrows" for name in ("kernel", "python")]
+    first, second = (
+        LiveRecording(path, scenario, law, state, controller="qp", every=0.0) for path in paths
+    )
+    second._quick = None  # type: ignore[assignment]
+    for k in range(30):
+        command = law.tick(state)
+        command.scale = 1 if k == 20 else command.scale
+        for recording in (first, second):
+            recording.tick(state, command, 100.0)
+        state.advance(command.v, law.problem.dt)
+        state.q_measured = None if k == 10 else state.q + 1e-3
+    first.close(), second.close()
+    columns = [format_of(path).read(path).columns for path in paths]
+    assert columns[0].keys() == columns[1].keys()
+    for name, one in columns[0].items():
+        compare = np.testing.assert_array_equal
+        if name in ("loop_position", "loop_orientation"):
+            compare = partial(np.testing.assert_allclose, rtol=1e-12)
+            assert np.asarray(one, float).max() > 0.0
+        compare(np.asarray(one), np.asarray(columns[1][name]))
 
 
 def test_the_ring_goes_round_and_counts_what_it_cannot_hold(
