@@ -249,7 +249,7 @@ def _laws(comparison: Comparison) -> Iterator[str]:
         f"stays closed, {bounded}. It follows the task as well as these allow."
     )
     yield (
-        "So the curves are much alike while no limit is in the way. Where one is, the QP stops at "
+        "So the curves are much alike while no limit is active. Where one is, the QP stops at "
         "it and goes on with the other joints, or keeps a task error. A pseudoinverse law goes "
         "on into the hatched region: a motion that only looks good, because the real robot "
         "cannot make it."
