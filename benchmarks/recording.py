@@ -63,7 +63,7 @@ def main() -> None:
     recorded: list[float] = []
     taken: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
-        for i in range(round(options.parse_args().seconds / 2 / TURN)):
+        for i in range(max(1, round(options.parse_args().seconds / 2 / TURN))):
             without += turn(scenario, law, None)[0]
             path = Path(folder) / f"{i}.arrows"
             late, took = turn(scenario, law, path)

@@ -34,7 +34,7 @@ CORE = (
 )
 
 #: What the figures may be at most.
-GOALS = {"lines of Python": 51_768, "modules at the root": 12, "rooms": 36, "layers": 14}
+GOALS = {"lines of Python": 51_806, "modules at the root": 12, "rooms": 36, "layers": 14}
 GOALS |= {"lines of the readable core": 7_000}
 
 

@@ -145,7 +145,7 @@ def not_followed(run: Assessment) -> str:
 def _where(run: Assessment, k: int) -> str:
     """What can be seen where task k is missed; a search would make comparisons wait."""
     if run.trace.manipulability[k] < thresholds.SINGULAR:
-        return ", at a pose in which the arms can hardly move it that way"
+        return ", near a singularity in that direction"
     names = run.at_limits(k)
     return f", with {listed_limits(names)} at the limit; 'coopqp explain' says why" if names else ""
 
@@ -249,7 +249,7 @@ def _acceleration(run: Assessment) -> str:
     share = worst.value / worst.allowed
     hardly = f"{_round(100.0 * (share - 1.0))} % more than"
     beyond = hardly if share < HARDLY else f"{_round(share)} times"
-    what = f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {beyond} what"
+    what = f"accelerates {worst.joint} at {_amount(worst.value, worst.unit)}, {beyond} what"
     advice = ": add joint_acceleration to limits" if run.acceleration_free else ""
     return f"{what} the loop for robots allows{advice}"
 

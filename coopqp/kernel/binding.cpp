@@ -85,7 +85,8 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def(nb::init<const Written&, const Joints&, const std::vector<double>&, double>())
         .def("take", &Reading::take);
     nb::class_<Columns>(m, "Columns")
-        .def(nb::init<const Written&, const Joints&, const Joints&, std::size_t>())
+        .def(nb::init<const Written&, const Joints&, const Joints&, std::size_t>(),
+             "table"_a.noconvert(), "first"_a, "sizes"_a, "open"_a)
         .def("add", &Columns::add);
     nb::class_<Ring>(m, "Ring").def(nb::init<const nb::dict&>()).def("add", &Ring::add);
     nb::class_<Samples>(m, "Samples")

@@ -52,9 +52,13 @@ class Reading {
 // Largest errors of position and of orientation of loops that are open by so much.
 inline void largest(const Numbers& open, double& apart, double& turned) {
     apart = turned = 0.0;
+    const auto take = [](double& most, const double* x) {
+        const double size = std::sqrt(coopqp::dot3(x, x));
+        if (!(size <= most)) most = size;  // NaN stays
+    };
     for (std::size_t k = 0; k + 6 <= open.size(); k += 6) {
-        apart = std::max(apart, std::sqrt(coopqp::dot3(open.data() + k, open.data() + k)));
-        turned = std::max(turned, std::sqrt(coopqp::dot3(open.data() + k + 3, open.data() + k + 3)));
+        take(apart, open.data() + k);
+        take(turned, open.data() + k + 3);
     }
 }
 
@@ -101,9 +105,10 @@ class Columns {
     Columns(const Written& table, const std::vector<std::size_t>& first,
             const std::vector<std::size_t>& sizes, std::size_t open)
         : table_(table), first_(first), sizes_(sizes), open_(open) {
-        for (std::size_t k = 0; k < first.size(); k++)
-            if (table.ndim() != 2 || first[k] + sizes.at(k) > table.shape(0))
-                throw std::invalid_argument("a part beyond the table");
+        bool fits = table.ndim() == 2 && sizes.size() == first.size() && open < sizes.size();
+        for (std::size_t k = 0; fits && k < first.size(); k++)
+            fits = first[k] <= table.shape(0) && sizes[k] <= table.shape(0) - first[k];
+        if (!fits || sizes[open] != 2) throw std::invalid_argument("a part beyond the table");
     }
 
     // Column i, from a number for all rows of a part or an array, after which rows are zero; whether
@@ -125,6 +130,7 @@ class Columns {
                 largest(from, to[0], to[ticks]);
                 continue;
             }
+            if (from.size() > sizes_[k]) return false;
             for (std::size_t j = 0; j < sizes_[k]; j++)
                 to[j * ticks] = j < from.size() ? from.data()[j] : 0.0;
         }

@@ -364,7 +364,7 @@ def test_the_demo_is_told_how_hard_it_accelerates() -> None:
     assert worst
     change = np.abs(np.diff(trace.v, axis=0, prepend=0.0)) / trace.dt
     assert worst.value == pytest.approx(change.max())
-    assert f"accelerates {worst.joint} by {worst.value:.0f} rad/s2" in said_of(scenario, trace)[0]
+    assert f"accelerates {worst.joint} at {worst.value:.0f} rad/s2" in said_of(scenario, trace)[0]
     calm = run(scenario, controller="pseudoinverse", timed=False)
     assert not assess(calm).acceleration.exceeds  # type: ignore[union-attr]
     assert not list(disagreements(scenario, trace, drawn_too=True))

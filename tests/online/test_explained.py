@@ -81,7 +81,7 @@ def test_every_tick_around_a_halt_is_read(tmp_path: Path, gap: Any) -> None:
     assert result.exit_code == 0
     assert "another velocity" not in result.stderr
     if gap is not _nan:
-        assert "The law was not asked; the loop comes to rest" in result.stdout
+        assert "The controller was not evaluated; the loop comes to rest" in result.stdout
     assert typed("export", path, "--to", "mcap").exit_code == 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -53,14 +54,15 @@ from coopqp.tasks import Twist
 def test_speeds_that_hold_up_are_named_with_the_time_that_would_do(
     limits: tuple[Any, ...], word: str
 ) -> None:
-    """A run of that time reaches the goal, one of nine tenths of it does not."""
-    scenario = replace(load("point_on_point"), limits=limits)
+    """A run of the time that is said reaches the goal, one of nine tenths of it does not."""
+    scenario = replace(load("point_on_point"), limits=limits, dt=0.005)
     found = explained(scenario)
     assert (found.kind, found.tried) == ("speed", True)
-    assert found.time is not None
     assert found.held_back[0].words.startswith(word)
+    (time,) = map(float, re.findall(r"a duration of ([\d.]+) s", found.sentence))
+    assert time == found.time
     ends = [
-        assess(run(replace(scenario, duration=share * found.time), controller="qp")).errors[0]
+        assess(run(replace(scenario, duration=share * time), controller="qp")).errors[0]
         for share in (1.0, 0.9)
     ]
     assert ends[0] <= scenario.tasks[0].tolerance < ends[1]

@@ -22,7 +22,7 @@ constexpr double CLEARLY = 3.05e-7, CLOSELY = 1e-10;
 
 struct Outcome {
     Status status;
-    double pull;  // LaterLevel.pull
+    double pull;  // of a later level at those before, coopqp.qp_law.priorities
     double off;   // estimate of |v - v*|
     double gap;   // by how much rows that must hold do not, but for what levels before left
     double astray = 0.0;  // the part of off that comes from these rows

@@ -88,7 +88,7 @@ class Multipliers {
         loops_.balance(g, of_loops.data());
     }
 
-    // LaterLevel.pull: how much a level, whose gradient is g, pulls at the task rows decided before
+    // As coopqp.qp_law.priorities: how much a level, whose gradient is g, pulls at the task rows decided before
     // it, by how fast these turn. Damping is left out, or it would feed itself.
     double pull(int l, int first, double damping, const double* v) {
         double bound = 0.0, all = of_held_;

@@ -62,7 +62,7 @@ class Program {
         }
     }
 
-    // e_r = (1 - s) e_start, as coopqp.model.geometry.Approach.
+    // e_r = (1 - s) e_start, as coopqp.program has it.
     static void approach(const Primitive& p, double t, int count, Level& level) {
         double share, speed;
         p.profile.at(t, share, speed);
@@ -133,7 +133,7 @@ class Program {
         return seen;
     }
 
-    // As coopqp.model.geometry.Alignment.
+    // As coopqp.program._lean_rows.
     static void lean(const Primitive& p, double t, const Kinematics& k, Level& level) {
         const Reference& r = p.reference;
         double share, speed, C[9], axis[3], y[3];

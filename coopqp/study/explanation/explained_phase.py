@@ -436,7 +436,7 @@ def _suggested(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) 
         return f"{text} (not tried: {why})"
     if suggestion.after.missed:
         return f"{text}; tried, but then {words.stops_short(*suggestion.after.missed[0])}"
-    time = "" if suggestion.time is None else f", and run for {suggestion.time:.3g} s"
+    time = "" if suggestion.time is None else f", with a duration of {suggestion.time:g} s"
     others = [f"; {words.stops_short(*late)}" for late in suggestion.after.gave_way[:1]]
     return f"{text}{time} (tried: reached{''.join(others)})"
 

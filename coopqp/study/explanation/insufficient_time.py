@@ -93,7 +93,7 @@ def stands(phase: ExplainedPhase, *, blocked: bool) -> str:
     ways = [("on_infeasible: scale", after), *(() if blocked else _calmer(phase, lacking))]
     times = [(way, arrival(done.goal(), done)) for way, done in ways if not done.missed]
     if times:
-        would = " or ".join(f"{way} (in {time:.3g} s)" for way, time in times)
+        would = " or ".join(f"{way} (in {time:g} s)" for way, time in times)
         return f"{text}; with {would} the goal is reached (tried)"
     return f"{text}; with on_infeasible: scale {words.stops_short(*after.missed[0])} (tried)"
 
@@ -129,7 +129,7 @@ def _too_short(
     gain = "" if slow or task.impedance else f" (gain {task.gain:g} 1/s)"
     time = None if after.missed else arrival(goal, after)
     then = (
-        f"{time:.3g} s instead of {phase.t_end:.3g} s is enough (tried: reached)"
+        f"a duration of {time:g} s instead of {phase.t_end:g} s is enough (tried: reached)"
         if time is not None
         else f"after {after.t_end:.3g} s {words.stops_short(*after.missed[0])}"
     )

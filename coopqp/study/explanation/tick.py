@@ -244,7 +244,9 @@ def explain(record: TickRecord) -> Explanation:
     """Why a saved tick could not do what its tasks asked."""
     causes = causes_of(record.status)
     if halts := [cause for cause in causes if cause in HALTS]:
-        return Explanation((), (), (), f"the law was not asked; the loop {halts[0].value}")
+        return Explanation(
+            (), (), (), f"the controller was not evaluated; the loop {halts[0].value}"
+        )
     if not causes[0].usable and causes[0] not in CONFLICTS:
         return Explanation((), (), (), f"the tick stands still: {causes[0].value}")
     missed = _missed(record)
