@@ -27,7 +27,7 @@ from coopqp.trace import Trace
 from coopqp.viewer.picture import drawn
 from coopqp.viewer.simulated_controller import SimulatedController
 
-ARRIVES = re.compile(r"(?i)\breaches the goal|gives way .* as .* was asked to")
+ARRIVES = re.compile(r"(?i)\breaches the goal|yields .* as .* specifies")
 BREAKS = re.compile(r"\b(drives|goes|brings|exceeds|needs|lets the loop open|loses the object)\b")
 #: Kinds of explanations that geometry has no part in.
 WITHOUT_LIMITS = ("lost", "input", "failed")

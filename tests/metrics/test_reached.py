@@ -113,7 +113,7 @@ def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
         pushed = replace(given, duration=seconds, disturbance=Disturbance(push=push))
         found = coopqp.compare(pushed, controllers=["torque_qp"])
         assert found.metrics["torque_qp"]["reached"] is there
-        words = "Gives way 20.0 mm to what pushes it, as 'springs.position' was asked to"
+        words = "Yields 20.0 mm to the push, as 'springs.position' specifies"
         assert found.verdicts["torque_qp"].startswith(words) is there
         (trace,) = found.traces.values()
         off = np.linalg.norm(trace.e[-1, :3] - [6.0 / 3000.0, 8.0 / 400.0, 0.0])
