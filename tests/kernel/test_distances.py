@@ -28,6 +28,7 @@ def test_distances_are_coals(name: str) -> None:
     assert seen.unknown <= 1e-3 * seen.pairs
 
 
+@pytest.mark.full
 def test_no_shipped_robot_is_left_out() -> None:
     assert set(robots()) == set(OF_ROBOTS)
 

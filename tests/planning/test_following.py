@@ -162,6 +162,7 @@ def test_pushed_off_a_run_goes_on_where_it_has_left_the_path(name: str, speed: f
     np.testing.assert_allclose(trace.q[held][-1], undisturbed.q[held][-1], atol=1e-3)
 
 
+@pytest.mark.full
 @pytest.mark.few(1)
 @pytest.mark.parametrize("share", [0.3, 0.1])
 def test_shoved_into_the_board_a_run_leaves_it_tick_by_tick_and_says_so(share: float) -> None:

@@ -95,6 +95,7 @@ def test_all_pieces_of_the_line_are_held_apart(tmp_path: Path) -> None:
     assert least == pytest.approx(0.03, abs=1e-3)  # up to the bar's half width
 
 
+@pytest.mark.full
 def test_windings_of_two_turns_are_proven_unreachable(tmp_path: Path) -> None:
     problem = _scenario(tmp_path).problem()
     planner = Planner(problem, 4.0)

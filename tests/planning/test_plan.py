@@ -233,6 +233,7 @@ def test_without_time_it_says_that_this_proves_nothing(shelves: Scenario) -> Non
     assert not len(found.q)
 
 
+@pytest.mark.full
 def test_the_timing_of_a_way_is_bounded_too(tmp_path: Path) -> None:
     """At such accelerations the way lasts hundreds of seconds, of a tick each 10 ms and less."""
     text = load("planar_pair").source

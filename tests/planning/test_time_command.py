@@ -21,6 +21,7 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.full
 def test_a_run_becomes_a_reference(slow: Path, tmp_path: Path) -> None:
     result = typed("time", slow, "--out", tmp_path / "fast")
     assert result.exit_code == 0

@@ -43,6 +43,7 @@ def squeeze(trace: Trace) -> float:
     return force["end"]
 
 
+@pytest.mark.full
 @pytest.mark.few(1)
 @pytest.mark.parametrize("plant", PLANTS)
 def test_the_pseudoinverse_is_stopped_where_the_qp_does_not_go(plant: str) -> None:

@@ -91,6 +91,7 @@ def drawn() -> list[tuple[Scenario, Trace, RunExplanation]]:
     return [(*one, explain_run(*one)) for one in zip(scenarios, traces, strict=True)]
 
 
+@pytest.mark.full
 def test_a_miss_is_blamed_on_no_task_that_comes_later(
     drawn: list[tuple[Scenario, Trace, RunExplanation]],
 ) -> None:

@@ -40,6 +40,7 @@ def test_a_leash_that_holds_the_commands_back_is_named(tmp_path: Path) -> None:
     assert explained(free, tmp_path).kind == "reached"
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("hurried_reruns")
 def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> None:
     wrong = Disturbance(grasp_offset=3e-3, encoder_offset=5e-3)
