@@ -54,7 +54,7 @@ inline void largest(const Numbers& open, double& apart, double& turned) {
     apart = turned = 0.0;
     const auto take = [](double& most, const double* x) {
         const double size = std::sqrt(coopqp::dot3(x, x));
-        if (!(size <= most)) most = size;  // NaN stays
+        if (size > most || std::isnan(size)) most = size;  // no number is larger than NaN
     };
     for (std::size_t k = 0; k + 6 <= open.size(); k += 6) {
         take(apart, open.data() + k);

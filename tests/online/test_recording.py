@@ -19,6 +19,7 @@ from scenario_files import HEAD, PHASES, TAIL, phased
 
 import coopqp
 from coopqp import CoopqpError, InvalidValueError, Law, Scenario, State
+from coopqp.kernel import native
 from coopqp.online.recording import ROOM, LiveRecording
 from coopqp.recordings import format_of, read
 from coopqp.recordings.column import cells
@@ -98,6 +99,21 @@ def test_a_tick_is_written_the_same_without_the_kernel(
             compare = partial(np.testing.assert_allclose, rtol=1e-12)
             assert np.asarray(one, float).max() > 0.0
         compare(np.asarray(one), np.asarray(columns[1][name]))
+
+
+@pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+def test_what_does_not_fit_a_part_is_left_to_python_and_nan_stays() -> None:
+    Columns, table = native.module().Columns, np.zeros((4, 2))  # type: ignore[union-attr]
+    add = Columns(table, [0, 1, 3], [1, 2, 1], 1).add
+    nothing, unknown = np.zeros(12), np.zeros(12)
+    unknown[[0, 9]] = np.nan
+    assert add(0, [1.0, unknown, np.ones(1)])
+    np.testing.assert_array_equal(table[:, 0], [1.0, np.nan, np.nan, 1.0])
+    assert not add(1, [1.0, nothing, np.ones(2)])
+    assert not add(2, [1.0, nothing, np.ones(1)])
+    for first, sizes in (([0, 1, 4], [1, 2, 1]), ([0, 1, 3], [1, 1, 1]), ([0, 1], [1, 2, 1])):
+        with pytest.raises(ValueError, match="a part beyond the table"):
+            Columns(table, first, sizes, 1)
 
 
 def test_the_ring_goes_round_and_counts_what_it_cannot_hold(
